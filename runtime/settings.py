@@ -1,0 +1,189 @@
+"""The robot file (TOML) as typed, validated settings.
+
+Every quantity's name carries its unit. What is under `[simulation]` only the simulated world may
+read: on a real robot nobody knows it. `load_robot` raises `SettingsError` whose text names file,
+line and remedy.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from runtime.messages import MusclePath
+
+
+class SettingsError(ValueError):
+    """A mistake in a robot file, in one line that a person can act on."""
+
+
+class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table of the robot file. Unknown keys are mistakes."""
+
+
+class Robot(_Table, frozen=True, kw_only=True):
+    """`[robot]`: name, and where body and schema are, seen from the robot file."""
+
+    name: str
+    body: str
+    schema: str = ""  # the shipped schema; without one the robot has to learn it first
+
+
+class Chain(_Table, frozen=True, kw_only=True):
+    """`[[chain]]`: one half-duplex line with one master."""
+
+    name: str
+    link: str = "sim:"  # or serial:///dev/ttyUSB0
+    baud: int = 3_000_000
+    rate_hz: float = 200.0
+    max_modules: int = 16
+    watchdog_ms: int = 100  # robot time of master's silence after which modules hold
+
+
+class Joint(_Table, frozen=True, kw_only=True):
+    """`[[joint]]`: a joint of the body and the module that measures it."""
+
+    name: str  # of the MJCF joint
+    chain: str
+    id: int
+    rest_deg: float = 0.0  # where `park` goes
+
+
+class Muscle(_Table, frozen=True, kw_only=True):
+    """`[[muscle]]`: a muscle that is there from the start."""
+
+    name: str  # of the MJCF tendon
+    chain: str
+    id: int
+    role: str = ""  # flexor, extensor, ...: which muscles sigma_f compares
+
+
+class Spare(_Table, frozen=True, kw_only=True):
+    """`[[spare]]`: a muscle that may be plugged in, with its nominal path."""
+
+    name: str
+    chain: str
+    path: MusclePath
+    role: str = ""
+
+
+class Module(_Table, frozen=True, kw_only=True):
+    """`[module]`: limits and constants of the muscle modules, as their data sheet gives them."""
+
+    tension_limit_n: float = 150.0
+    winding_speed_m_s: float = 0.25
+    temperature_limit_degc: float = 80.0
+    spool_radius_m: float = 0.008
+
+
+class Control(_Table, frozen=True, kw_only=True):
+    """`[control]`: how the executive moves the arm."""
+
+    tension_floor_n: float = 8.0  # planned tension of a muscle that has nothing to do
+    tension_ceiling_n: float = 120.0  # planned tension stays below, the limit is the module's
+    stiffness_n_m: float = 20_000.0
+    joint_speed_deg_s: float = 60.0
+    settle_s: float = 0.6
+
+
+class Growth(_Table, frozen=True, kw_only=True):
+    """`[growth]`: how a new muscle is taken in."""
+
+    n_new: int = 7
+    n_check: int = 2
+    method: str = "iii"
+    bias_min_n: float = 10.0
+    bias_max_n: float = 60.0
+    residual_limit_mm: float = 4.0  # on held-out motion; above it a candidate is refused
+
+
+class TaskPath(_Table, frozen=True, kw_only=True):
+    """`[[task]]`: postures to go through, in order of the file's joints."""
+
+    name: str
+    targets_deg: tuple[tuple[float, ...], ...]
+
+
+class Simulation(_Table, frozen=True, kw_only=True):
+    """`[simulation]`: truth and imperfection of the simulated robot."""
+
+    assembly_error_m: float = 0.002  # every attachment is off by about this much
+    tension_noise_n: float = 0.2
+    length_noise_m: float = 2e-5
+    angle_noise_rad: float = 1e-3
+    wire_friction: float = 0.06  # mu phi: friction is tension * sinh(mu phi)
+    elastic_n_m: tuple[float, float, float] = (1000.0, 0.0, 7.5e7)  # f = a e + b e^2 + c e^3
+    ambient_degc: float = 25.0
+
+
+class RobotSettings(_Table, frozen=True, kw_only=True):
+    """A whole robot file."""
+
+    robot: Robot
+    chain: tuple[Chain, ...]
+    joint: tuple[Joint, ...]
+    muscle: tuple[Muscle, ...]
+    spare: tuple[Spare, ...] = ()
+    task: tuple[TaskPath, ...] = ()
+    module: Module = Module()
+    control: Control = Control()
+    growth: Growth = Growth()
+    simulation: Simulation = Simulation()
+    file: str = ""  # filled in by load_robot
+
+    @property
+    def name(self) -> str:
+        """The robot's name: the first part of all its keys."""
+        return self.robot.name
+
+    @property
+    def body_file(self) -> Path:
+        """The MJCF file."""
+        return (Path(self.file).parent / self.robot.body).resolve()
+
+    @property
+    def schema_file(self) -> Path | None:
+        """The shipped schema, if the file names one."""
+        if not self.robot.schema:
+            return None
+        return (Path(self.file).parent / self.robot.schema).resolve()
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joint names in the file's order."""
+        return tuple(joint.name for joint in self.joint)
+
+    @property
+    def muscles(self) -> tuple[str, ...]:
+        """Names of the muscles that are there from the start, in the file's order."""
+        return tuple(muscle.name for muscle in self.muscle)
+
+
+ROBOTS = Path(__file__).parent.parent / "deploy" / "robots"
+
+
+def find_robot_file(name_or_path: str) -> Path:
+    """`elbow` -> `deploy/robots/elbow.toml`; a path stays a path."""
+    path = Path(name_or_path)
+    if path.suffix == ".toml" or path.exists():
+        return path
+    return ROBOTS / f"{name_or_path}.toml"
+
+
+def load_robot(name_or_path: str, name: str = "") -> RobotSettings:
+    """Read a robot file; `name` puts another name in place of the file's.
+
+    Raises:
+        SettingsError: the file is missing or says something that cannot be.
+    """
+    import tomllib
+
+    path = find_robot_file(name_or_path)
+    tables = tomllib.loads(path.read_text())
+    settings = msgspec.convert({**tables, "file": str(path.resolve())}, RobotSettings)
+    if name:
+        settings = msgspec.structs.replace(
+            settings, robot=msgspec.structs.replace(settings.robot, name=name)
+        )
+    return settings
