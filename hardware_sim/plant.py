@@ -1,0 +1,244 @@
+"""The body in MuJoCo, with wires that muscle modules wind: the only file here that imports mujoco.
+
+Any MJCF with spatial tendons is a body. Each tendon becomes a wire: an elastic element (polynomial
+tendon spring) whose rest length is MuJoCo *state* (`springyield`), which the motor writes; friction
+of the wire on its guides is the tendon's friction loss, set each step from the tension. Muscle
+actuators in the file are ignored. A muscle added while running is compiled in with the state kept.
+
+Every attachment is displaced by an assembly error, as hands do: seeded by the wire's name, so that
+a robot is the same robot each time, and for spares by the run's seed too.
+"""
+
+from __future__ import annotations
+
+import zlib
+from typing import Any
+
+import mujoco as mj
+import numpy as np
+
+from hardware_sim.wire_drive import (
+    Array,
+    WireDrive,
+    elastic_stretch_m,
+    elastic_tension_n,
+)
+from runtime.messages import MusclePath, Place
+from runtime.settings import RobotSettings
+
+DT_S = 0.001
+START_TENSION_N = 8.0
+SLACK_M = 0.015  # of a wire that was just attached by hand
+
+
+class Plant:
+    """The simulated body. All arrays are matched by `joints` (N,) and `wires` (M,)."""
+
+    def __init__(self, settings: RobotSettings, seed: int = 0) -> None:
+        self.settings = settings
+        self.seed = seed
+        self.simulation = settings.simulation
+        self.joints = settings.joints
+        self.wires: list[str] = []
+        self._spec = mj.MjSpec.from_file(str(settings.body_file))
+        self._prepare()
+        self.model = self._spec.compile()
+        self.data = mj.MjData(self.model)
+        self.drive = WireDrive(
+            len(self.wires), settings.module.winding_speed_m_s, self.simulation.ambient_degc
+        )
+        self.ruptured: set[str] = set()
+        self._bind()
+        self._rest()
+
+    # ── what really is ────────────────────────────────────────────────────────────────────────
+
+    @property
+    def angle_rad(self) -> Array:
+        """True joint angles, shape (N,)."""
+        return np.asarray(self.data.qpos[self._qpos])
+
+    @property
+    def wire_length_m(self) -> Array:
+        """Wire paid out from each spool (the spring's rest length), shape (M,)."""
+        return np.asarray(self._rest_length.copy())
+
+    @property
+    def path_length_m(self) -> Array:
+        """Geometric length of each wire's path at the last `step`, shape (M,)."""
+        return np.asarray(self.data.ten_length)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time."""
+        return float(self.data.time)
+
+    def torque_nm(self, torque_nm: Array) -> None:
+        """Disturb the joints by outside torques, shape (N,), until told otherwise."""
+        self.data.qfrc_applied[self._dof] = torque_nm
+
+    # ── stepping ──────────────────────────────────────────────────────────────────────────────
+
+    def sense(self) -> Array:
+        """First half of a step: positions are current. Returns true tensions [N], shape (M,)."""
+        mj.mj_step1(self.model, self.data)
+        stretch = self.data.ten_length - self._rest_length
+        tension: Array = elastic_tension_n(stretch, self.simulation.elastic_n_m)
+        if self.ruptured:
+            tension[self._broken] = 0.0
+        return tension
+
+    def act(self, command_m_s: Array, tension_n: Array) -> None:
+        """Second half of a step: motors follow winding speeds [m/s], the body moves on by 1 ms."""
+        self._rest_length += self.drive.step(DT_S, command_m_s, tension_n)
+        # after step1 the constraint bounds are built already: this takes effect at the next step
+        self.model.tendon_frictionloss[:] = tension_n * self._friction
+        mj.mj_step2(self.model, self.data)
+
+    # ── a body that changes ───────────────────────────────────────────────────────────────────
+
+    def add_muscle(self, name: str, path: MusclePath) -> None:
+        """Attach a wire along its nominal path, displaced by the assembly error; state is kept.
+
+        Raises:
+            ValueError: the name is taken, or the path names a link or geom the body lacks.
+        """
+        if name in self.wires:
+            raise ValueError(f"muscle '{name}' is on the body already")
+        rng = self._rng(f"{self.seed}/{name}")
+        places = (path.attachment, *path.relays)
+        self._check_path(places)
+        tendon = self._spec.add_tendon(name=name)
+        for k, place in enumerate(places):
+            if place.wrap:
+                tendon.wrap_geom(place.wrap, place.side)
+                continue
+            site = f"{name}/{k}"
+            position = np.asarray(place.position_m) + self._assembly_error(rng)
+            self._spec.body(place.link).add_site(name=site, pos=position)
+            tendon.wrap_site(site)
+        self._as_wire(tendon)
+        self.model, self.data = self._spec.recompile(self.model, self.data)
+        self.wires.append(name)
+        self.drive.add()
+        self._bind()
+        mj.mj_forward(self.model, self.data)
+        self._rest_length[-1] = self.data.ten_length[-1] + SLACK_M
+
+    def remove_muscle(self, name: str) -> None:
+        """Take a wire off the body; everything else stays as it is."""
+        index = self.wires.index(name)
+        kept = np.delete(self._rest_length, index)
+        self._spec.delete(self._spec.tendon(name))
+        for site in list(self._spec.sites):
+            if site.name.startswith(f"{name}/"):
+                self._spec.delete(site)
+        self.model, self.data = self._spec.recompile(self.model, self.data)
+        self.wires.pop(index)
+        self.drive.remove(index)
+        self.ruptured.discard(name)
+        self._bind()
+        self._rest_length[:] = kept
+
+    def rupture(self, name: str) -> None:
+        """Break a wire: no tension from now on, its length runs free."""
+        self.ruptured.add(name)
+        self._bind()
+
+    # ── state that survives the process ───────────────────────────────────────────────────────
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that `restore` needs, of plain types."""
+        size = mj.mj_stateSize(self.model, mj.mjtState.mjSTATE_PHYSICS)
+        state = np.empty(size)
+        mj.mj_getState(self.model, self.data, state, mj.mjtState.mjSTATE_PHYSICS)
+        return {
+            "wires": list(self.wires),
+            "state": state.tolist(),
+            "time_s": self.time_s,
+            "speed_m_s": self.drive.speed_m_s.tolist(),
+            "temperature_degc": self.drive.temperature_degc.tolist(),
+            "ruptured": sorted(self.ruptured),
+        }
+
+    def restore(self, snapshot: dict[str, Any], paths: dict[str, MusclePath]) -> None:
+        """Take the state of a snapshot; `paths` are those of the muscles added since the start."""
+        for name in list(self.wires):
+            if name not in snapshot["wires"]:
+                self.remove_muscle(name)
+        for name in snapshot["wires"]:
+            if name not in self.wires:
+                self.add_muscle(name, paths[name])
+        order = [self.wires.index(name) for name in snapshot["wires"]]
+        if order != sorted(order):
+            raise ValueError("the snapshot's wires are in another order than the body's")
+        self.ruptured = set(snapshot["ruptured"])
+        self._bind()
+        mj.mj_setState(
+            self.model, self.data, np.array(snapshot["state"]), mj.mjtState.mjSTATE_PHYSICS
+        )
+        self.data.time = snapshot["time_s"]
+        self.drive.speed_m_s[:] = snapshot["speed_m_s"]
+        self.drive.temperature_degc[:] = snapshot["temperature_degc"]
+        mj.mj_forward(self.model, self.data)
+
+    # ── inside ────────────────────────────────────────────────────────────────────────────────
+
+    def _prepare(self) -> None:
+        for actuator in list(self._spec.actuators):
+            self._spec.delete(actuator)
+        for tendon in self._spec.tendons:
+            rng = self._rng(tendon.name)
+            for wrap in tendon.path:
+                if wrap.type == mj.mjtWrap.mjWRAP_SITE:
+                    wrap.target.pos = wrap.target.pos + self._assembly_error(rng)
+            self._as_wire(tendon)
+            self.wires.append(tendon.name)
+        self._spec.option.timestep = DT_S
+        self._spec.option.integrator = mj.mjtIntegrator.mjINT_EULER
+
+    def _as_wire(self, tendon: Any) -> None:
+        tendon.stiffness = list(self.simulation.elastic_n_m)
+        tendon.springlength = [0.0, 1.0]
+        tendon.springyield = 1e6  # puts the rest length into state: it is the wire's length
+        tendon.frictionloss = 1e-6  # not zero: the constraint has to be compiled in
+        # stiff friction: a wire that sticks must not creep
+        tendon.solref_friction = [0.002, 1.0]
+        tendon.solimp_friction = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+
+    def _bind(self) -> None:
+        joint = [self.model.joint(name) for name in self.joints]
+        self._qpos = np.array([int(j.qposadr[0]) for j in joint])
+        self._dof = np.array([int(j.dofadr[0]) for j in joint])
+        # rest length is the second of each tendon's two plastic states
+        self._rest_length = self.data.plastic.reshape(-1)[1::2]
+        self._friction = float(np.sinh(self.simulation.wire_friction))
+        self._broken = np.array([name in self.ruptured for name in self.wires], dtype=bool)
+        stiffness = np.array(self.simulation.elastic_n_m)
+        for index, name in enumerate(self.wires):
+            scale = 0.0 if name in self.ruptured else 1.0
+            self.model.tendon_stiffness[index] = scale * stiffness[0]
+            self.model.tendon_stiffnesspoly[index] = scale * stiffness[1:]
+
+    def _rest(self) -> None:
+        for index, joint in enumerate(self.settings.joint):
+            self.data.qpos[self._qpos[index]] = np.radians(joint.rest_deg)
+        mj.mj_forward(self.model, self.data)
+        stretch = elastic_stretch_m(START_TENSION_N, self.simulation.elastic_n_m)
+        self._rest_length[:] = self.data.ten_length - stretch
+
+    def _check_path(self, places: tuple[Place, ...]) -> None:
+        bodies = {body.name for body in self._spec.bodies}
+        geoms = {geom.name for geom in self._spec.geoms}
+        for place in places:
+            if place.wrap and place.wrap not in geoms:
+                raise ValueError(f"no geom '{place.wrap}' to wrap around on this body")
+            if not place.wrap and (place.link not in bodies or place.position_m is None):
+                raise ValueError(f"no link '{place.link}' with a position on this body")
+
+    def _assembly_error(self, rng: np.random.Generator) -> Array:
+        return rng.normal(0.0, self.simulation.assembly_error_m / np.sqrt(3.0), 3)
+
+    def _rng(self, text: str) -> np.random.Generator:
+        return np.random.default_rng(zlib.crc32(text.encode()))
+
