@@ -1,0 +1,93 @@
+"""Which tensions, and so which lengths, hold a posture: the smallest that carry the torque.
+
+The paper iterates on the latent space by gradient descent. The same three aims (theta stays at
+theta_ref, small ||f||, tau_required + G^T f = 0) have a direct answer: a quadratic program in f
+with the network's own muscle Jacobian G = dl/dtheta, and l from mask 110. G depends on f a little,
+so that is solved again with the new f until nothing moves any more.
+
+Sign: l is the length of the wire, it shortens when the muscle pulls; by virtual work the torque
+on the joints is -G^T f.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+
+from services.body_schema.network import Array
+from services.body_schema.schema import Schema
+
+TORQUE_WEIGHT = 1e8  # per (Nm)^2 against 1 per N^2: with 30 mm of moment arm, 1e-5 is given away
+CONVERGED_N = 0.01
+ROUNDS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Tensions that hold a posture, and the lengths that give them."""
+
+    tension_n: Array  # (M,)
+    length_m: Array  # (M,): target lengths
+    jacobian: Array  # (M, N) [m/rad]: G at the plan
+    residual_torque_nm: Array  # (N,): tau_required + G^T f; not zero when the limits forbid it
+    converged: bool  # the last round moved no tension by 0.01 N
+
+
+def plan(
+    schema: Schema,
+    theta_ref: Array,
+    torque_required_nm: Array,
+    f_min: Array | float,
+    f_max: Array | float,
+    f_start: Array | None = None,
+) -> Plan:
+    """The smallest tensions that give a torque at a posture, by the schema.
+
+    Args:
+        schema: N joints, M muscles.
+        theta_ref: (N,) [rad].
+        torque_required_nm: (N,): what the muscles must produce; against gravity, its negative.
+        f_min: (M,) or scalar [N], below f_max.
+        f_max: (M,) or scalar [N].
+        f_start: (M,) [N]: where to begin; the last plan's tensions save rounds.
+
+    Raises:
+        ValueError: f_min exceeds f_max, or something is not finite.
+    """
+    m = len(schema.muscles)
+    low, high = np.full(m, f_min, dtype=float), np.full(m, f_max, dtype=float)
+    if not (low <= high).all() or not np.isfinite(theta_ref).all():
+        raise ValueError(f"no plan between {low} and {high} N at {theta_ref} rad")
+    f = low if f_start is None else np.minimum(np.maximum(f_start, low), high)
+    step, last_move = 1.0, np.inf
+    for _ in range(ROUNDS):
+        length, g = schema.lengths_and_jacobian(theta_ref, f)
+        move = _smallest_tensions(g, torque_required_nm, low, high) - f
+        size = float(np.abs(move).max())
+        if size < CONVERGED_N:
+            break
+        if size > 0.5 * last_move:  # swings to and fro, or creeps
+            step = max(0.5 * step, 0.05)
+        last_move = size
+        f = f + step * move
+    return Plan(
+        tension_n=f,
+        length_m=length,
+        jacobian=g,
+        residual_torque_nm=torque_required_nm + f @ g,
+        converged=size < CONVERGED_N,
+    )
+
+
+def _smallest_tensions(g: Array, torque_nm: Array, low: Array, high: Array) -> Array:
+    """min ||f||^2 + weight ||tau + G^T f||^2, low <= f <= high: (M,) [N]."""
+    weighted = TORQUE_WEIGHT * g  # (M, N)
+    h = weighted @ g.T
+    h.flat[:: len(low) + 1] += 1.0
+    no_rows = np.empty((0, len(low)))
+    f, _, exit_flag, _ = daqp.solve(h, weighted @ torque_nm, no_rows, high, low)
+    if exit_flag < 0:
+        raise ValueError(f"no tensions found (daqp exit flag {exit_flag})")
+    return np.asarray(f, dtype=float)
