@@ -8,7 +8,9 @@ commands a chain and one sync read senses it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from enum import Enum, IntEnum
+from struct import Struct
 from typing import NamedTuple
 
 
@@ -71,13 +73,13 @@ TABLE = (
     Register("bus_watchdog", 98, 1, _R, 0.02, "s", signed=True, low=0, high=127, kinds=_M),
     Register("present_position", 132, 4, _P, 2 * 3.141592653589793 / 4096, "rad", signed=True),
     Register("present_temperature", 146, 1, _P, 1.0, "degC"),
-    # ours, kept
+    # ours, kept: present_tension = load cell - tension_tare, present_length = wire - length_zero
     Register("serial_number", 700, 8, _P),
     Register("tension_limit", 708, 2, _E, 0.01, "N", default=15_000, high=40_000, kinds=_M),
     Register("winding_speed_limit", 710, 2, _E, 1e-4, "m/s", default=2500, high=10_000, kinds=_M),
     Register("length_zero", 712, 4, _E, 1e-6, "m", signed=True, low=-(2**31), kinds=_M),
     Register("tension_tare", 716, 2, _E, 0.01, "N", signed=True, low=-2000, high=2000, kinds=_M),
-    # ours, goals: one block of 8 bytes
+    # ours, the stop and right behind it the goals: one block of 8 bytes
     Register("stop", 719, 1, _R, high=1, kinds=_M),  # 1: pay out at bounded speed, latched
     Register("bias_tension", 720, 2, _R, 0.01, "N", high=40_000, kinds=_M),
     Register("stiffness", 722, 2, _R, 1.0, "N/m", high=60_000, kinds=_M),
@@ -92,11 +94,49 @@ TABLE = (
 )
 
 BY_NAME = {register.name: register for register in TABLE}
+_CODES = {1: "b", 2: "h", 4: "i", 8: "q"}
+
+
+class Block:
+    """Registers that lie side by side, read and written as one span of `length` bytes."""
+
+    def __init__(self, registers: Iterable[Register]) -> None:
+        self.registers = tuple(registers)
+        self.address = end = self.registers[0].address
+        codes = ""
+        for register in self.registers:
+            if register.address != end:
+                raise ValueError(f"{register.name} does not begin at {end}, where the block ends")
+            end += register.size
+            code = _CODES[register.size]
+            codes += code if register.signed else code.upper()
+        self.length = end - self.address
+        self._struct = Struct("<" + codes)
+        self._columns = tuple((register.name, register.scale) for register in self.registers)
+
+    def encode(self, values: Mapping[str, float]) -> bytes:
+        """Register name -> value, all of them. Raises struct.error when one does not fit."""
+        return self._struct.pack(*[round(values[name] / scale) for name, scale in self._columns])
+
+    def decode(self, data: bytes) -> dict[str, float]:
+        """Register name -> value in its unit. `data` has at least `length` bytes."""
+        raw = self._struct.unpack_from(data)
+        return {
+            name: value * scale for (name, scale), value in zip(self._columns, raw, strict=True)
+        }
+
+
+def block(*names: str) -> Block:
+    """The block of the registers so named, in the order of their addresses."""
+    return Block(BY_NAME[name] for name in names)
+
 
 GOALS = (BY_NAME["bias_tension"], BY_NAME["stiffness"], BY_NAME["target_length"])
 PRESENTS = tuple(
     BY_NAME[name] for name in ("present_length", "present_tension", "motor_temperature", "status")
 )
+GOAL_BLOCK = Block(GOALS)
+PRESENT_BLOCK = Block(PRESENTS)
 BAUD_RATES = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 
 
