@@ -1,0 +1,127 @@
+"""The layout made for this work: the body on the left, what its wires do on the right, and below
+who is in which state and what happened. Plots show the last seconds and follow."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from dashboard.canvas import Floats
+
+TIMELINE = "robot time"
+WINDOW_S = 30.0
+LANES_S = 120.0
+_VIEWS = uuid.UUID("6d796f67-7261-6674-0000-000000000000")  # view ids stay over restarts
+
+
+def layout(joints: Sequence[str], low_m: Floats, high_m: Floats) -> rrb.Blueprint:
+    """The whole screen for a robot with these joints whose body fills this box (m)."""
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                rrb.Vertical(
+                    _named("body", _body(low_m, high_m)),
+                    _named(
+                        "now", rrb.TextDocumentView(origin="/status", name="Now", contents="/status")
+                    ),
+                    row_shares=[3.4, 1],
+                ),
+                rrb.Vertical(
+                    _angles(joints),
+                    rrb.Tabs(
+                        _plot("Tension (N)", "/tension", "/limit/tension"),
+                        _plot("Planned tension (N)", "/planned"),
+                        name="tension",
+                    ),
+                    rrb.Tabs(
+                        _plot("Length error, target - measured (mm)", "/length_error"),
+                        _plot("Anomaly (times usual residual)", "/anomaly", "/limit/anomaly"),
+                        _plot("Training loss (log10)", "/training", window_s=120.0),
+                        _plot("Temperature (°C)", "/temperature", window_s=300.0),
+                        _plot("CPU (% of a core)", "/load/cpu", window_s=120.0),
+                        _plot("Memory (MB)", "/load/memory", window_s=300.0),
+                        _plot("Real-time factor", "/factor", window_s=120.0),
+                        name="more",
+                    ),
+                ),
+                column_shares=[1, 1.7],
+            ),
+            rrb.Horizontal(
+                _named("lanes", _lanes()),
+                _named("log", rrb.TextLogView(origin="/event", name="Events")),
+                column_shares=[1.7, 1],
+            ),
+            row_shares=[2.6, 1],
+        ),
+        rrb.TopPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="Following"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _named(key: str, view: rrb.View) -> rrb.View:
+    view.id = uuid.uuid5(_VIEWS, key)
+    return view
+
+
+def _window(seconds: float) -> rr.TimeRange:
+    cursor = rrb.TimeRangeBoundary.cursor_relative
+    return rr.TimeRange(start=cursor(seconds=-seconds), end=cursor(seconds=0.0))
+
+
+def _visible(seconds: float) -> rrb.VisibleTimeRange:
+    cursor = rrb.TimeRangeBoundary.cursor_relative
+    return rrb.VisibleTimeRange(TIMELINE, start=cursor(seconds=-seconds), end=cursor())
+
+
+def _plot(name: str, *paths: str, window_s: float = WINDOW_S) -> rrb.View:
+    return _named(
+        paths[0],
+        rrb.TimeSeriesView(
+            origin="/",
+            contents=list(paths),
+            name=name,
+            axis_x=rrb.TimeAxis(view_range=_window(window_s), zoom_lock=True),
+            time_ranges=[_visible(window_s)],
+            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
+        ),
+    )
+
+
+def _angles(joints: Sequence[str]) -> rrb.View | rrb.Container:
+    plots = [_plot(f"Angle of {joint} (deg)", f"/angle/{joint}") for joint in joints]
+    return plots[0] if len(plots) == 1 else rrb.Tabs(*plots, name="angles")
+
+
+def _lanes() -> rrb.View:
+    return rrb.StateTimelineView(
+        origin="/lane",
+        contents="/lane/**",
+        name="States",
+        time_view=rrb.TimeAxis(view_range=_window(LANES_S), zoom_lock=True),
+    )
+
+
+def _body(low_m: Floats, high_m: Floats) -> rrb.View:
+    center = (low_m + high_m) / 2.0
+    reach = float(max(high_m - low_m))
+    return rrb.Spatial3DView(
+        origin="/",
+        contents=["/robot/**", "/robot_wires", "/robot_added"],
+        name="Body at the measured angles, wires coloured by tension",
+        background=(28, 30, 34),
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=center + reach * np.array([0.7, -1.3, 0.35]),
+            look_target=center,
+            eye_up=(0.0, 0.0, 1.0),
+        ),
+    )

@@ -1,0 +1,81 @@
+"""The dashboard's colours: one for each slot, each state and each tension, the same in every view."""
+
+from __future__ import annotations
+
+import colorsys
+
+Rgb = tuple[int, int, int]
+
+# Okabe and Ito's colours first, then lighter ones of Paul Tol's: told apart by colour-blind eyes,
+# legible on dark and on light.
+_SLOTS: tuple[Rgb, ...] = (
+    (86, 180, 233),
+    (0, 170, 125),
+    (204, 121, 167),
+    (230, 159, 0),
+    (70, 130, 220),
+    (213, 94, 0),
+    (221, 204, 60),
+    (150, 150, 150),
+    (136, 204, 238),
+    (68, 170, 153),
+    (190, 90, 190),
+    (221, 204, 119),
+    (136, 119, 221),
+    (204, 102, 119),
+    (90, 180, 80),
+    (190, 190, 190),
+)
+REFERENCE: Rgb = (170, 170, 170)
+MEASURED: Rgb = (86, 180, 233)
+ESTIMATED: Rgb = (230, 159, 0)
+CONFIDENCE: Rgb = (140, 105, 40)
+LIMIT: Rgb = (220, 60, 50)
+
+_GREY, _BLUE, _GREEN = (120, 120, 120), (70, 130, 200), (40, 150, 95)
+_AMBER, _RED = (215, 150, 20), (205, 55, 45)
+STAGE_COLORS: dict[str, Rgb] = {
+    "waiting": _GREY,
+    "hold": (80, 100, 125),
+    "move": _BLUE,
+    "join": (230, 190, 60),
+    "collect": _AMBER,
+    "relearn": (175, 90, 190),
+    "adopt": (110, 95, 215),
+    "resume": _GREEN,
+    "park": _GREY,
+    "stopped": _RED,
+}
+MODULE_COLORS: dict[str, Rgb] = {
+    "joining": _AMBER,
+    "up": _GREEN,
+    "lost": _GREY,
+    "fault": _RED,
+    "stopped": _RED,
+    "unplugged": (70, 70, 70),
+}
+PROCESS_COLORS: dict[str, Rgb] = {
+    "starting": _AMBER,
+    "ready": _GREEN,
+    "backoff": (225, 120, 40),
+    "failed": _RED,
+    "stopped": _GREY,
+}
+
+
+def slot_color(slot: int) -> Rgb:
+    """The colour of a slot. Past the sixteenth they are computed, and still never repeat."""
+    if slot < len(_SLOTS):
+        return _SLOTS[slot]
+    red, green, blue = colorsys.hsv_to_rgb(slot * 0.618034 % 1.0, 0.55, 0.9)
+    return round(red * 255), round(green * 255), round(blue * 255)
+
+
+def tension_color(fraction: float) -> Rgb:
+    """From a slack wire's cool grey over amber to red at `fraction` 1 of the scale."""
+    low, middle, high = (125, 150, 175), (240, 190, 60), (225, 45, 35)
+    x = min(max(fraction, 0.0), 1.0) * 2.0
+    start, end = (low, middle) if x < 1.0 else (middle, high)
+    part = x if x < 1.0 else x - 1.0
+    red, green, blue = (round(a + (b - a) * part) for a, b in zip(start, end, strict=True))
+    return red, green, blue
