@@ -12,10 +12,8 @@ from pathlib import Path
 import msgspec
 
 from runtime.messages import MusclePath
-
-
-class SettingsError(ValueError):
-    """A mistake in a robot file, in one line that a person can act on."""
+from runtime.settings_file import SettingsError as SettingsError
+from runtime.settings_file import located, read_toml
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -166,7 +164,7 @@ ROBOTS = Path(__file__).parent.parent / "deploy" / "robots"
 def find_robot_file(name_or_path: str) -> Path:
     """`elbow` -> `deploy/robots/elbow.toml`; a path stays a path."""
     path = Path(name_or_path)
-    if path.suffix == ".toml" or path.exists():
+    if path.suffix == ".toml" or path.is_file():
         return path
     return ROBOTS / f"{name_or_path}.toml"
 
@@ -177,13 +175,33 @@ def load_robot(name_or_path: str, name: str = "") -> RobotSettings:
     Raises:
         SettingsError: the file is missing or says something that cannot be.
     """
-    import tomllib
+    from runtime.settings_checks import robot_mistakes  # here, because it knows the types above
 
     path = find_robot_file(name_or_path)
-    tables = tomllib.loads(path.read_text())
-    settings = msgspec.convert({**tables, "file": str(path.resolve())}, RobotSettings)
+    settings = read_toml(path, RobotSettings, others=ROBOTS.glob("*.toml"))
+    settings = msgspec.structs.replace(settings, file=str(path.resolve()))
     if name:
-        settings = msgspec.structs.replace(
-            settings, robot=msgspec.structs.replace(settings.robot, name=name)
-        )
+        robot = msgspec.structs.replace(settings.robot, name=name)
+        settings = msgspec.structs.replace(settings, robot=robot)
+    for mistake in robot_mistakes(settings):
+        raise located(path, mistake)
     return settings
+
+
+def load_path(file: str, robot: RobotSettings | None = None) -> MusclePath:
+    """Read a muscle's path (`attachment`, `direction`, `relays`) from a TOML file of its own.
+
+    With `robot`, the names in it have to be names of that robot's body.
+
+    Raises:
+        SettingsError: the file is missing or says something that cannot be.
+    """
+    from runtime.body_checks import path_mistakes  # here, because it knows the types above
+    from runtime.body_names import read_body
+
+    path = Path(file)
+    muscle_path = read_toml(path, MusclePath)
+    body = read_body(robot.body_file) if robot else None
+    for mistake in path_mistakes(muscle_path, body=body):
+        raise located(path, mistake)
+    return muscle_path

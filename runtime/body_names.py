@@ -1,0 +1,97 @@
+"""Which names does a body (MJCF) know? Read as plain XML, so that nobody needs MuJoCo for it."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+
+class BodyError(ValueError):
+    """A body file that is missing or not MJCF, said in words."""
+
+
+@dataclass
+class BodyNames:
+    """Names that a robot file may refer to, and how far the joints go."""
+
+    file: str
+    joints: dict[str, tuple[float, float] | None] = field(default_factory=dict)  # range, deg
+    tendons: set[str] = field(default_factory=set)  # spatial ones: each is a wire
+    links: set[str] = field(default_factory=set)
+    wraps: set[str] = field(default_factory=set)  # geoms
+    sites: set[str] = field(default_factory=set)
+
+
+def read_body(path: Path) -> BodyNames:
+    """Collect the names of an MJCF file and of what it includes.
+
+    Raises:
+        BodyError: the file is missing, is no XML or no MJCF.
+    """
+    root = _parse(path, path.parent)
+    if root.tag != "mujoco":
+        raise BodyError(f"is not a MuJoCo body: its outermost element is <{root.tag}>")
+    names = BodyNames(path.name)
+    compiler = root.find("compiler")
+    in_radian = compiler is not None and compiler.get("angle") == "radian"
+    to_deg = 180.0 / math.pi if in_radian else 1.0
+    defaults = dict(_joint_ranges(root))
+    for world in root.iter("worldbody"):
+        names.links.add("world")
+        for element, style in _within(world, "main"):
+            name = element.get("name", "")
+            if element.tag == "body":
+                names.links.add(name)
+            elif element.tag == "geom":
+                names.wraps.add(name)
+            elif element.tag == "site":
+                names.sites.add(name)
+            elif element.tag == "joint":
+                limits = element.get("range") or defaults.get(element.get("class", style), "")
+                low_high = tuple(float(word) * to_deg for word in limits.split())
+                hinge = element.get("type", "hinge") == "hinge" and len(low_high) == 2
+                names.joints[name] = (low_high[0], low_high[1]) if hinge else None
+    names.tendons.update(wire.get("name", "") for wire in root.iterfind("tendon/spatial"))
+    return names
+
+
+def _parse(path: Path, folder: Path) -> ET.Element:
+    """The file's element tree with every `<include>` put in its place."""
+    try:
+        root = ET.fromstring(path.read_bytes())
+    except ET.ParseError as error:
+        raise BodyError(f"is not XML: {error}") from None
+    except OSError as error:
+        raise BodyError(f"cannot be read: {error.strerror}") from None
+    for parent in list(root.iter()):
+        for index, child in reversed(list(enumerate(parent))):
+            if child.tag == "include":
+                try:
+                    parent[index : index + 1] = list(_parse(folder / child.get("file", ""), folder))
+                except BodyError as error:
+                    raise BodyError(f"includes {child.get('file')}, which {error}") from None
+    return root
+
+
+def _joint_ranges(root: ET.Element) -> Iterator[tuple[str, str]]:
+    """Default class -> its joints' range, inherited from the classes around it."""
+
+    def walk(style: ET.Element, name: str, inherited: str) -> Iterator[tuple[str, str]]:
+        joint = style.find("joint")
+        limits = inherited if joint is None else joint.get("range", inherited)
+        yield name, limits
+        for child in style.iterfind("default"):
+            yield from walk(child, child.get("class", ""), limits)
+
+    for top in root.iterfind("default"):
+        yield from walk(top, top.get("class", "main"), "")
+
+
+def _within(parent: ET.Element, style: str) -> Iterator[tuple[ET.Element, str]]:
+    """Everything below `parent` with the default class that holds there."""
+    for child in parent:
+        yield child, style
+        yield from _within(child, child.get("childclass", style))
