@@ -1,0 +1,374 @@
+"""The bus: the only file that imports Zenoh.
+
+Everyone is a listening peer that connects to the hub, its supervisor, and by gossip to all others:
+peers that do not listen never meet. Multicast scouting is off. A lease of one second ends the link
+to a peer that stands still, so nothing waits longer than that for anybody.
+
+Nothing that a control loop publishes may block it. LATEST and QUEUE topics (states, commands, bus
+bytes) go out at once with DROP: a lost sample costs one sample, and on the loopback a queue fills
+only in front of a peer that has stopped reading. RETAINED and HISTORY topics (schema, body, events)
+must arrive and may be large, so a thread of their own sends them with BLOCK, cached for those who
+come late and numbered so that a gap is noticed and repaired (advanced pub/sub).
+
+Arrivals are kept as bytes in a `Mailbox` and read when the process takes them, so that what a
+LATEST slot overwrites is never decoded.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import queue
+import threading
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import msgspec
+import zenoh
+import zenoh.ext as zext
+
+from runtime.envelope import EnvelopeError, decode, encode, encoding_of
+from runtime.mailbox import QUEUE_DEPTH, Mailbox
+from runtime.messages import Clock, Message, Presence, Reply
+from runtime.topics import BY_TYPE, REQUEST_BY_TYPE, TOKEN_KEY, Keep, Topic, key_of, key_pattern
+
+LOOPBACK = "tcp/127.0.0.1:0"
+LEASE_MS = 1000
+HISTORY_DEPTH = 50
+HEARTBEAT_S = 0.2  # after which a lost last sample of a retained topic is noticed
+
+log = logging.getLogger(__name__)
+
+
+class BusError(RuntimeError):
+    """The bus cannot be reached, in words that name the endpoint."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A request that waits for its answer."""
+
+    request: Message
+    reply: Callable[[Reply], None]
+
+
+class _Arrival(NamedTuple):
+    kind: type[Message]
+    sample: Any  # zenoh.Sample, or zenoh.Query when something is asked
+
+
+class Bus:
+    """One process's place on the bus of one robot. A context manager: opened and closed whole.
+
+    Args:
+        robot: the first part of every key this bus speaks on or hears.
+        process: who is speaking, for the liveliness token and in replies.
+        endpoint: the hub to connect to; "" is to be the first.
+        listen: where to listen; "" is to be a client, who leaves no trace in the mesh.
+        also: more endpoints to connect to, which need not be there: other robots' hubs.
+
+    Raises:
+        BusError: on entry, when nobody is at `endpoint`.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        process: str,
+        *,
+        endpoint: str = "",
+        listen: str = LOOPBACK,
+        also: tuple[str, ...] = (),
+    ) -> None:
+        self.robot = robot
+        self.process = process
+        self.dropped = 0  # messages that could not be read, since start
+        self.received: Counter[str] = Counter()  # message type -> read, since start
+        self._config = _config(endpoint, listen, also)
+        self._where = endpoint or listen
+        self._box: Mailbox[_Arrival | Presence] = Mailbox()
+        self._declared: list[Any] = []  # kept alive: tokens die with their Python objects
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._courier = _Courier()
+        self._odd: set[str] = set()
+        self._odd_news: list[str] = []
+
+    def __enter__(self) -> Self:
+        try:
+            self._session = zenoh.open(self._config)
+        except zenoh.ZError as error:
+            raise BusError(f"no hub answers at {self._where}: {error}") from error
+        self._courier.start(self._session)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        # Every callback must be undeclared, or the interpreter hangs at its exit.
+        self._courier.stop()
+        for declared in reversed(self._declared):
+            declared.undeclare()
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    # ── out ────────────────────────────────────────────────────────────────────────────────────
+
+    def publish(self, message: Message) -> None:
+        """Send a message on its topic. Never waits."""
+        topic = BY_TYPE[type(message)]
+        key = key_of(self.robot, message)
+        payload = encode(message)
+        if topic.keep in (Keep.RETAINED, Keep.HISTORY):
+            self._courier.send(key, topic, payload)
+            return
+        publisher = self._publishers.get(key)
+        if publisher is None:
+            publisher = self._publishers[key] = self._session.declare_publisher(
+                key,
+                encoding=encoding_of(topic.message),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+            )
+        publisher.put(payload)
+
+    def declare_alive(self) -> None:
+        """Put up this process's liveliness token: from now on it counts as ready."""
+        key = f"{self.robot}/{TOKEN_KEY.format(process=self.process)}"
+        self._declared.append(self._session.liveliness().declare_token(key))
+
+    def request(self, message: Message, timeout_s: float | None = None) -> list[Reply]:
+        """Ask, and wait for all who answer. Empty: nobody serves this, or nobody answered in time.
+
+        Who answered stands in each reply's `data["process"]`.
+        """
+        row = REQUEST_BY_TYPE[type(message)]
+        answers = self._session.get(
+            f"{self.robot}/{row.key}",
+            payload=encode(message),
+            encoding=encoding_of(type(message)),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,  # else one reply stands for all
+            timeout=row.timeout_s if timeout_s is None else timeout_s,
+        )
+        replies = []
+        for answer in answers:
+            if answer.ok is None:
+                continue
+            try:
+                replies.append(_read(Reply, answer.ok))
+            except EnvelopeError as error:
+                self._note_odd(str(error))
+        return replies
+
+    # ── in ─────────────────────────────────────────────────────────────────────────────────────
+
+    def subscribe(self, *kinds: type[Message], every: bool = False) -> None:
+        """Take in messages of these types; `Presence` tells of processes coming and going.
+
+        Args:
+            every: keep each sample in order, whatever its topic says: for a recorder.
+        """
+        for kind in kinds:
+            if kind is Presence:
+                self._watch_presence()
+            else:
+                self._subscribe(BY_TYPE[kind], every)
+
+    def serve(self, *kinds: type[Message]) -> None:
+        """Answer requests of these types: they come out of `wait` as `Question`s."""
+        for kind in kinds:
+            self._serve(kind)
+
+    def wait(self, timeout_s: float) -> list[Message | Question]:
+        """What arrived, oldest first, after at most this time. Reads, and drops what is odd."""
+        read: list[Message | Question] = []
+        for arrival in self._box.wait(timeout_s):
+            item = arrival if isinstance(arrival, Presence) else self._open(arrival)
+            if item is not None:
+                read.append(item)
+        return read
+
+    def wake(self) -> None:
+        """End a `wait` early. Safe in a signal handler and from any thread."""
+        self._box.wake()
+
+    def take_oddities(self) -> list[str]:
+        """What was odd about dropped messages, in words, each once in a lifetime."""
+        news, self._odd_news = self._odd_news, []
+        return news
+
+    def alive(self, timeout_s: float = 1.0) -> list[str]:
+        """The processes whose tokens stand now, sorted."""
+        pattern = f"{self.robot}/{TOKEN_KEY.format(process='*')}"
+        answers = self._session.liveliness().get(pattern, timeout=timeout_s)
+        return sorted(_last(str(answer.ok.key_expr)) for answer in answers if answer.ok is not None)
+
+    # ── inside ─────────────────────────────────────────────────────────────────────────────────
+
+    def _subscribe(self, topic: Topic, every: bool) -> None:
+        kind, keep = topic.message, topic.keep
+        newest_only = keep in (Keep.LATEST, Keep.RETAINED) and not every
+        depth = 1 if newest_only else QUEUE_DEPTH
+        # Robot time is looked at when it is needed: a hundred ticks a second wake nobody.
+        wake = kind is not Clock or every
+
+        def arrived(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.PUT:
+                arrival = _Arrival(kind, sample)
+                self._box.post(str(sample.key_expr), arrival, depth=depth, wake=wake)
+
+        pattern = key_pattern(self.robot, kind)
+        if keep in (Keep.RETAINED, Keep.HISTORY):
+            self._declared.append(
+                zext.declare_advanced_subscriber(
+                    self._session,
+                    pattern,
+                    arrived,
+                    history=zext.HistoryConfig(
+                        detect_late_publishers=True, max_samples=_cache_depth(topic)
+                    ),
+                    recovery=zext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+                )
+            )
+        else:
+            self._declared.append(self._session.declare_subscriber(pattern, arrived))
+
+    def _watch_presence(self) -> None:
+        def changed(sample: zenoh.Sample) -> None:
+            process = _last(str(sample.key_expr))
+            came = sample.kind == zenoh.SampleKind.PUT
+            self._box.post("presence", Presence(process=process, alive=came))
+
+        self._declared.append(
+            self._session.liveliness().declare_subscriber(
+                f"{self.robot}/{TOKEN_KEY.format(process='*')}", changed, history=True
+            )
+        )
+
+    def _serve(self, kind: type[Message]) -> None:
+        key = key_pattern(self.robot, kind)
+
+        def asked(query: zenoh.Query) -> None:
+            self._box.post(key, _Arrival(kind, query))
+
+        self._declared.append(self._session.declare_queryable(key, asked))
+
+    def _open(self, arrival: _Arrival) -> Message | Question | None:
+        kind, sample = arrival
+        asked = isinstance(sample, zenoh.Query)
+        try:
+            message: Message = _read(kind, sample)
+        except EnvelopeError as error:
+            self._note_odd(str(error))
+            if asked:
+                self._reply(sample, kind, Reply(ok=False, text=str(error)))
+            return None
+        self.received[kind.__name__] += 1
+        if asked:
+            return Question(message, lambda reply: self._reply(sample, kind, reply))
+        return message
+
+    def _reply(self, query: zenoh.Query, kind: type[Message], reply: Reply) -> None:
+        named = msgspec.structs.replace(reply, data={**reply.data, "process": self.process})
+        with query:
+            query.reply(key_pattern(self.robot, kind), encode(named), encoding=encoding_of(Reply))
+
+    def _note_odd(self, text: str) -> None:
+        self.dropped += 1
+        if text not in self._odd and len(self._odd) < 100:
+            self._odd.add(text)
+            self._odd_news.append(text)
+            log.warning("dropped: %s", text)
+
+
+class _Courier:
+    """Sends what must arrive, on a thread of its own that may wait for slow readers."""
+
+    def __init__(self) -> None:
+        self._letters: queue.SimpleQueue[tuple[str, Topic, bytes] | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+
+    def start(self, session: zenoh.Session) -> None:
+        self._thread = threading.Thread(target=self._run, args=(session,), daemon=True)
+        self._thread.start()
+
+    def send(self, key: str, topic: Topic, payload: bytes) -> None:
+        self._letters.put((key, topic, payload))
+
+    def stop(self) -> None:
+        """Send what is left, then end."""
+        self._letters.put(None)
+        if self._thread is not None:
+            self._thread.join(timeout=2 * LEASE_MS / 1000)
+
+    def _run(self, session: zenoh.Session) -> None:
+        publishers: dict[str, zext.AdvancedPublisher] = {}
+        while (letter := self._letters.get()) is not None:
+            key, topic, payload = letter
+            try:
+                if key not in publishers:
+                    publishers[key] = _retaining_publisher(session, key, topic)
+                publishers[key].put(payload)
+            except zenoh.ZError:
+                log.exception("could not send %s", key)
+        for publisher in publishers.values():
+            publisher.undeclare()  # type: ignore[no-untyped-call]
+
+
+def _retaining_publisher(session: zenoh.Session, key: str, topic: Topic) -> zext.AdvancedPublisher:
+    return zext.declare_advanced_publisher(
+        session,
+        key,
+        encoding=encoding_of(topic.message),
+        congestion_control=zenoh.CongestionControl.BLOCK,
+        priority=zenoh.Priority.DATA_LOW,  # a large schema never stands before a command
+        cache=zext.CacheConfig(_cache_depth(topic)),
+        sample_miss_detection=zext.MissDetectionConfig(
+            heartbeat=None, sporadic_heartbeat=HEARTBEAT_S
+        ),
+        publisher_detection=True,
+    )
+
+
+def _cache_depth(topic: Topic) -> int:
+    return HISTORY_DEPTH if topic.keep is Keep.HISTORY else 1
+
+
+def _read(kind: type[Any], sample: Any) -> Any:
+    payload = b"" if sample.payload is None else bytes(sample.payload)
+    return decode(kind, payload, str(sample.encoding))
+
+
+def _last(key: str) -> str:
+    return key.rsplit("/", 1)[-1]
+
+
+def _config(endpoint: str, listen: str, also: tuple[str, ...]) -> zenoh.Config:
+    connect = [name for name in (endpoint, *also) if name]
+    config = zenoh.Config()
+    settings: dict[str, Any] = {
+        "mode": "peer" if listen else "client",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": True,
+        "scouting/delay": 0,  # else opening may take half a second
+        "connect/endpoints": connect,
+        "connect/timeout_ms": 0 if also and not endpoint else 2000,
+        "connect/exit_on_failure": bool(endpoint),
+        "connect/retry": {
+            "period_init_ms": 100,
+            "period_max_ms": 200,
+            "period_increase_factor": 1,
+        },
+        "transport/link/tx/lease": LEASE_MS,
+        "timestamping/enabled": True,  # the publishers' caches need it
+    }
+    if listen:
+        settings["listen/endpoints"] = [listen]
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config

@@ -1,0 +1,139 @@
+"""What every process of a robot shares: how it is launched, and the loop that drives a logic.
+
+A process is an entry point `main(launch)` of the group `myograft.processes`. Most say no more than
+`launch.run(SomeLogic(launch.settings, launch.store))`. One that keeps a loop of its own (the world,
+the recorder) takes `with launch.open_bus() as member:` and asks `member` for everything.
+
+The supervisor starts one by `python -m runtime.process <process> --robot FILE ...`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib.metadata
+import logging
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from runtime.bus import Bus
+from runtime.logic import Logic, Store
+from runtime.loop import drive
+from runtime.member import Member
+from runtime.settings import RobotSettings, load_robot
+from runtime.store import FileStore
+
+ENTRY_POINTS = "myograft.processes"
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Launch:
+    """All that a process is told when it starts."""
+
+    process: str  # as in its token: `estimator`, `driver-arm`
+    settings: RobotSettings
+    run_dir: Path  # of this run: logs, recordings
+    state_dir: Path  # of this robot: outlives the run
+    endpoint: str  # the hub's
+    speed: float = 1.0  # robot seconds asked for per wall second
+    seed: int = 0
+    parent: int = 0  # pid of the supervisor; 0: started by hand
+
+    @property
+    def instance(self) -> str:
+        """The chain's name for `driver-<chain>`, else empty."""
+        return self.process.partition("-")[2]
+
+    @property
+    def store(self) -> Store:
+        """This process's own blobs, which outlive it."""
+        return FileStore(self.state_dir / self.process)
+
+    @property
+    def simulated(self) -> bool:
+        """Some chain is simulated: then the world owns robot time."""
+        return any(chain.link.startswith("sim:") for chain in self.settings.chain)
+
+    @contextlib.contextmanager
+    def open_bus(self) -> Iterator[Member]:
+        """A place on the bus for a process that keeps its own loop.
+
+        SIGTERM, SIGINT and the supervisor's death set `member.stopping`, which the loop must look
+        at; `member.ready()` puts up the liveliness token.
+
+        Raises:
+            BusError: the hub does not answer.
+        """
+        with Bus(self.settings.name, self.process, endpoint=self.endpoint) as bus:
+            member = Member(bus, follow_world=self.simulated, parent=self.parent)
+            for number in (signal.SIGTERM, signal.SIGINT):
+                signal.signal(number, lambda *_: member.stop())
+            yield member
+
+    def run(self, logic: Logic) -> None:
+        """Drive a logic until the process is told to stop.
+
+        An exception in `receive` or `answer` costs that message; one in `tick` is logged, told as
+        an event, and ends the process with exit code 1, to be restarted.
+        """
+        with self.open_bus() as member:
+            member.subscribe(*logic.inputs)
+            member.serve(*logic.requests)
+            member.ready()
+            drive(logic, member)
+
+
+def entry_of(process: str) -> Callable[[Launch], None]:
+    """`driver-arm` -> the `main` that the entry point `driver` names.
+
+    Raises:
+        LookupError: no entry point has that name.
+    """
+    kind = process.partition("-")[0]
+    found = importlib.metadata.entry_points(group=ENTRY_POINTS, name=kind)
+    for entry in found:
+        main: Callable[[Launch], None] = entry.load()
+        return main
+    raise LookupError(f"no process is called {kind!r} in the entry points {ENTRY_POINTS}")
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Start one process."""
+    parser = argparse.ArgumentParser(prog="python -m runtime.process", description=__doc__)
+    parser.add_argument("process", help="estimator, driver-<chain>, ...")
+    parser.add_argument("--robot", required=True, help="the robot file")
+    parser.add_argument("--name", default="", help="another name than the file's")
+    parser.add_argument("--speed", type=float, default=1.0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--run-dir", type=Path, required=True)
+    parser.add_argument("--state-dir", type=Path, required=True)
+    parser.add_argument("--endpoint", required=True, help="of the hub: tcp/127.0.0.1:7447")
+    parser.add_argument("--parent", type=int, default=0, help="pid of the supervisor")
+    args = parser.parse_args(argv)
+    logging.basicConfig(
+        level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(message)s"
+    )
+    # The bus's threads must get the interpreter soon: 3.1 ms of wake-up delay become 0.7 ms.
+    sys.setswitchinterval(0.0005)
+    launch = Launch(
+        process=args.process,
+        settings=load_robot(args.robot, args.name),
+        run_dir=args.run_dir,
+        state_dir=args.state_dir,
+        endpoint=args.endpoint,
+        speed=args.speed,
+        seed=args.seed,
+        parent=args.parent,
+    )
+    log.info("%s of %s, pid %d", launch.process, launch.settings.name, os.getpid())
+    entry_of(args.process)(launch)
+
+
+if __name__ == "__main__":
+    main()
