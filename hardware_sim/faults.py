@@ -1,0 +1,94 @@
+"""The switch board of what is broken in the simulation.
+
+Kinds, the target they name, and what their amount means:
+
+    corrupt   chain or module  probability that a byte on the line has a flipped bit
+    drop      chain or module  probability that a packet on the line is lost
+    delay     chain or module  seconds that answers come late
+    cable     chain            modules before the place where the cable was pulled
+              module           the cable just before this module was pulled
+    stuck     muscle or joint  1: its sensor gives its last reading for ever
+    rupture   muscle           1: its wire is torn
+    overheat  muscle           degC that its motor is hotter than its load makes it
+
+Lines are deterministic: each fault draws from its own generator, seeded by seed, kind and target.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable
+from typing import NamedTuple
+
+KINDS = ("corrupt", "drop", "delay", "cable", "stuck", "rupture", "overheat")
+
+
+class ActiveFault(NamedTuple):
+    """One thing that is broken."""
+
+    kind: str
+    target: str  # name of a chain, muscle or joint
+    amount: float
+
+
+class Faults:
+    """What is broken now."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.seed = seed
+        self._active: dict[tuple[str, str], ActiveFault] = {}
+        self._random: dict[tuple[str, str], random.Random] = {}
+
+    @property
+    def active(self) -> list[ActiveFault]:
+        """All faults, in the order in which they were set."""
+        return list(self._active.values())
+
+    def set(self, kind: str, target: str, amount: float = 0.0) -> None:
+        """Break something; a corrupt, drop, delay, stuck or overheat of amount 0 is mended.
+
+        Raises:
+            ValueError: no such kind, or an amount that it cannot have.
+        """
+        if kind not in KINDS:
+            raise ValueError(f"no fault {kind!r}; there are {', '.join(KINDS)}")
+        if amount < 0.0 or (kind in ("corrupt", "drop") and amount > 1.0):
+            raise ValueError(f"{kind} cannot have the amount {amount:g}")
+        if amount == 0.0 and kind in ("rupture", "stuck"):
+            amount = 1.0
+        if amount == 0.0 and kind != "cable":
+            self.clear(kind, target)
+            return
+        key = (kind, target)
+        self._active[key] = ActiveFault(kind, target, amount)
+        self._random.setdefault(key, random.Random(f"{self.seed}:{kind}:{target}"))
+
+    def clear(self, kind: str = "", target: str = "") -> None:
+        """Mend what has this kind and target; "" is any."""
+        for key in list(self._active):
+            if kind in ("", key[0]) and target in ("", key[1]):
+                del self._active[key]
+
+    def amount(self, kind: str, target: str) -> float | None:
+        """The amount of a fault; None while that is whole."""
+        fault = self._active.get((kind, target))
+        return fault.amount if fault else None
+
+    def on_line(self, data: bytes, targets: Iterable[str]) -> bytes:
+        """What becomes of a packet's bytes on their way past these targets; b"" when lost."""
+        if not data or not self._active:
+            return data
+        for target in targets:
+            drop = self.amount("drop", target)
+            if drop is not None and self._random["drop", target].random() < drop:
+                return b""
+            corrupt = self.amount("corrupt", target)
+            if corrupt is not None:
+                data = _flip(data, corrupt, self._random["corrupt", target])
+        return data
+
+
+def _flip(data: bytes, probability: float, rng: random.Random) -> bytes:
+    return bytes(
+        byte ^ (1 << rng.randrange(8)) if rng.random() < probability else byte for byte in data
+    )
