@@ -1,0 +1,142 @@
+"""Where are the joints? Answered from muscle tension and length alone, by the body schema.
+
+One estimate is made for each complete set of readings: every chain that has muscles of the schema
+has said something new. It carries the stamp of the oldest reading in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from runtime.messages import (
+    ChainState,
+    Event,
+    JointEstimate,
+    Message,
+    Reply,
+    SchemaCandidate,
+    SchemaVersion,
+)
+from runtime.settings import RobotSettings
+from services.body_schema.network import Array
+from services.body_schema.schema import Schema, SchemaError
+
+STALE_NS = 100_000_000  # a reading older than this tells nothing about now
+FINEST_M = 1e-5  # no length sensor is trusted beyond this, whatever a schema says of itself
+
+
+class Estimator:
+    """`ChainState` and `SchemaVersion` in, `JointEstimate` out.
+
+    anomaly         |measured - predicted length| of a muscle, over its usual size
+    confidence_rad  the schema's own error on held-out motion, times the RMS anomaly when that is
+                    above 1: readings that do not fit the schema make the estimate worth less in
+                    proportion. It never claims more than held-out motion has shown.
+    """
+
+    inputs: tuple[type[Message], ...] = (ChainState, SchemaVersion)
+    requests: tuple[type[Message], ...] = ()
+    period_ns = 100_000_000  # acts on what arrives; nothing falls due by itself
+
+    def __init__(self, settings: RobotSettings) -> None:
+        self._joints = settings.joints
+        self._schema: Schema | None = None
+        self._refused = ""  # said once: a retained schema comes again
+        self._events: list[Event] = []
+        self._states: dict[str, ChainState] = {}  # the newest of each chain
+        self._unused: set[str] = set()  # chains heard from since the last estimate
+
+    def receive(self, message: Message, now_ns: int) -> None:
+        """Keep a chain's newest state; take a schema into use if it is whole and ours."""
+        match message:
+            case ChainState():
+                self._states[message.chain] = message
+                self._unused.add(message.chain)
+            case SchemaCandidate():
+                pass  # a kind of version that held-out motion has not passed yet
+            case SchemaVersion():
+                self._take(message, now_ns)
+
+    def answer(self, request: Message, now_ns: int) -> Reply:
+        """Nothing can be asked of the estimator."""
+        return Reply(ok=False, text=f"the estimator answers no {type(request).__name__}")
+
+    def tick(self, now_ns: int) -> Iterator[Message]:
+        """One estimate, if a complete and fresh set of readings has come together."""
+        yield from self._events
+        self._events.clear()
+        if self._schema is not None and self._unused:
+            estimate = self._estimate(self._schema, now_ns)
+            if estimate is not None:
+                yield estimate
+
+    def _take(self, message: SchemaVersion, now_ns: int) -> None:
+        try:
+            schema = Schema.from_bytes(message.data)
+            if set(schema.joints) != set(self._joints):
+                raise SchemaError(
+                    f"it knows the joints {', '.join(schema.joints)};"
+                    f" this robot has {', '.join(self._joints)}"
+                )
+        except ValueError as error:
+            self._complain(message, str(error), now_ns)
+        else:
+            self._schema = schema
+            self._refused = ""
+
+    def _complain(self, message: SchemaVersion, reason: str, now_ns: int) -> None:
+        kept = "the former one stays in use" if self._schema else "there is no estimate without one"
+        text = f"schema version {message.version} refused: {reason}; {kept}"
+        if text != self._refused:
+            self._refused = text
+            event = Event(
+                stamp_ns=now_ns,
+                process="estimator",
+                level="error",
+                kind="schema_refused",
+                text=text,
+                data={"version": str(message.version)},
+            )
+            self._events.append(event)
+
+    def _estimate(self, schema: Schema, now_ns: int) -> JointEstimate | None:
+        """None while the set is partial, or a muscle is missing, stale or unreadable."""
+        at = {
+            muscle: (state, column)
+            for state in self._states.values()
+            if now_ns - state.stamp_ns <= STALE_NS
+            for column, muscle in enumerate(state.muscles)
+        }
+        if not all(muscle in at for muscle in schema.muscles):
+            return None
+        readings = [at[muscle] for muscle in schema.muscles]
+        chains = {state.chain for state, _ in readings}
+        if not chains <= self._unused:
+            return None
+        self._unused.clear()
+        f = np.array([state.tension_n[column] for state, column in readings])
+        length = np.array([state.length_m[column] for state, column in readings])
+        if not (np.isfinite(f).all() and np.isfinite(length).all()):
+            return None
+        theta = schema.estimate(f, length)
+        predicted = schema.lengths(theta, f)
+        anomaly = _anomaly(length, predicted, schema.length_sigma_m)
+        level = max(1.0, float(np.sqrt(np.mean(anomaly**2))))
+        return JointEstimate(
+            stamp_ns=min(state.stamp_ns for state, _ in readings),
+            joints=schema.joints,
+            angle_rad=tuple(theta.tolist()),
+            confidence_rad=tuple((schema.angle_sigma_rad * level).tolist()),
+            muscles=schema.muscles,
+            predicted_length_m=tuple(predicted.tolist()),
+            predicted_tension_n=tuple(schema.tensions(theta, length).tolist()),
+            anomaly=tuple(anomaly.tolist()),
+        )
+
+
+def _anomaly(measured_m: Array, predicted_m: Array, sigma_m: Array) -> Array:
+    """(M,): residual over its usual size; about 1 is usual, above 3 is odd."""
+    residual: Array = np.abs(measured_m - predicted_m) / np.maximum(sigma_m, FINEST_M)
+    return residual
