@@ -9,12 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.blueprint import encodings
 
 from dashboard.canvas import Floats
 
 TIMELINE = "robot time"
 WINDOW_S = 30.0
-LANES_S = 120.0
+LANES_S = 60.0
 _VIEWS = uuid.UUID("6d796f67-7261-6674-0000-000000000000")  # view ids stay over restarts
 
 
@@ -26,7 +27,8 @@ def layout(joints: Sequence[str], low_m: Floats, high_m: Floats) -> rrb.Blueprin
                 rrb.Vertical(
                     _named("body", _body(low_m, high_m)),
                     _named(
-                        "now", rrb.TextDocumentView(origin="/status", name="Now", contents="/status")
+                        "now",
+                        rrb.TextDocumentView(origin="/status", name="Now", contents="/status"),
                     ),
                     row_shares=[3.4, 1],
                 ),
@@ -51,9 +53,13 @@ def layout(joints: Sequence[str], low_m: Floats, high_m: Floats) -> rrb.Blueprin
                 column_shares=[1, 1.7],
             ),
             rrb.Horizontal(
-                _named("lanes", _lanes()),
-                _named("log", rrb.TextLogView(origin="/event", name="Events")),
-                column_shares=[1.7, 1],
+                rrb.Tabs(
+                    _lanes("What the robot does", "/lane/executive", "/lane/module/**"),
+                    _lanes("Processes", "/lane/process/**"),
+                    name="states",
+                ),
+                _named("log", _log()),
+                column_shares=[1.35, 1],
             ),
             row_shares=[2.6, 1],
         ),
@@ -100,12 +106,30 @@ def _angles(joints: Sequence[str]) -> rrb.View | rrb.Container:
     return plots[0] if len(plots) == 1 else rrb.Tabs(*plots, name="angles")
 
 
-def _lanes() -> rrb.View:
-    return rrb.StateTimelineView(
-        origin="/lane",
-        contents="/lane/**",
-        name="States",
-        time_view=rrb.TimeAxis(view_range=_window(LANES_S), zoom_lock=True),
+def _lanes(name: str, *paths: str) -> rrb.View:
+    return _named(
+        name,
+        rrb.StateTimelineView(
+            origin="/lane",
+            contents=list(paths),
+            name=name,
+            time_view=rrb.TimeAxis(view_range=_window(LANES_S), zoom_lock=True),
+        ),
+    )
+
+
+def _log() -> rrb.View:
+    column, kind = encodings.TextLogColumn, encodings.TextLogColumnKind
+    return rrb.TextLogView(
+        origin="/event",
+        name="Events",
+        columns=rrb.TextLogColumns(
+            text_log_columns=[
+                column(kind.EntityPath, visible=False),
+                column(kind.LogLevel, visible=True),
+                column(kind.Body, visible=True),
+            ]
+        ),
     )
 
 
@@ -114,13 +138,13 @@ def _body(low_m: Floats, high_m: Floats) -> rrb.View:
     reach = float(max(high_m - low_m))
     return rrb.Spatial3DView(
         origin="/",
-        contents=["/robot/**", "/robot_wires", "/robot_added"],
+        contents=["/robot/**", "/wires", "/modules"],
         name="Body at the measured angles, wires coloured by tension",
         background=(28, 30, 34),
         line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
-            position=center + reach * np.array([0.7, -1.3, 0.35]),
+            position=center + reach * np.array([0.6, -0.75, 0.15]),
             look_target=center,
             eye_up=(0.0, 0.0, 1.0),
         ),

@@ -35,6 +35,7 @@ class Wire(NamedTuple):
     points_m: Floats  # (P, 3)
     radius_m: float
     color: Rgb
+    module_color: Rgb
     label: str = ""
 
 
@@ -44,7 +45,7 @@ class Canvas(Protocol):
     def lines(
         self, path: str, names: Sequence[str], colors: Sequence[Rgb], widths: Sequence[float]
     ) -> None:
-        """Name and colour a vector's slots; a slot without a name is not shown."""
+        """Name and colour a vector's slots; a slot without a name is free."""
 
     def columns(self, path: str, times_s: Floats, values: Floats) -> None:
         """Rows (T, slots) of a vector; NaN leaves a gap."""

@@ -48,7 +48,7 @@ class Plots:
             self._track(
                 f"/angle/{joint}",
                 FAST_NS,
-                ("reference", "measured", "estimated from wires", "± confidence", ""),
+                ("reference", "measured", "estimated from wires", "± confidence", "± confidence"),
                 (REFERENCE, MEASURED, ESTIMATED, CONFIDENCE, CONFIDENCE),
                 (1.5, 2.5, 1.5, 0.6, 0.6),
             )

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 from dashboard.canvas import Canvas, Floats, Shape, Wire
-from dashboard.palette import tension_color
+from dashboard.palette import slot_color, tension_color
+from dashboard.tracks import Slots
 from runtime import messages as m
 from runtime.settings import RobotSettings
 
 STALE_NS = 500_000_000
-THIN_M, THICK_M = 0.0015, 0.0045
+THIN_M, THICK_M = 0.002, 0.007
 
 
 class Skeleton(Protocol):
@@ -38,9 +40,12 @@ class Skeleton(Protocol):
 class Scene:
     """Draws the body a few times a second."""
 
-    def __init__(self, settings: RobotSettings, canvas: Canvas, body: Skeleton) -> None:
+    def __init__(
+        self, settings: RobotSettings, canvas: Canvas, body: Skeleton, slots: Slots
+    ) -> None:
         self._canvas = canvas
         self._body = body
+        self._slots = slots
         self._first_muscles = frozenset(settings.muscles)
         self._scale_n = settings.control.tension_ceiling_n
         self._angle_rad: dict[str, float] = {}
@@ -76,6 +81,7 @@ class Scene:
             muscle=muscle,
             points_m=self._body.wire(muscle),
             radius_m=THIN_M + (THICK_M - THIN_M) * fraction,
-            color=tension_color(fraction),
+            color=tension_color(math.sqrt(fraction)),  # most of a day is spent below a third
+            module_color=slot_color(self._slots.index.get(muscle, self._slots.size)),
             label="" if muscle in self._first_muscles else f"added: {muscle}",
         )

@@ -16,6 +16,7 @@ from dashboard.canvas import Floats, Shape, Wire
 from dashboard.palette import Rgb
 
 SERVER_MEMORY = "256MiB"
+MODULE_RADIUS_M = 0.008
 _LOOPBACK = "127.0.0.1"
 
 
@@ -70,8 +71,12 @@ class RerunCanvas:
         self, path: str, names: Sequence[str], colors: Sequence[Rgb], widths: Sequence[float]
     ) -> None:
         """Name and colour a vector's slots."""
-        shown = [bool(name) for name in names]
-        style = rr.SeriesLines(names=names, colors=colors, widths=widths, visible_series=shown)
+        style = rr.SeriesLines(
+            names=[name or "(free)" for name in names],
+            colors=colors,
+            widths=widths,
+            visible_series=[bool(name) for name in names],
+        )
         self._stream.log(path, style, static=True)
 
     def columns(self, path: str, times_s: Floats, values: Floats) -> None:
@@ -110,28 +115,25 @@ class RerunCanvas:
         """Where a link is."""
         self._stream.set_time(TIMELINE, duration=time_s)
         xyzw = np.roll(quaternion_wxyz, -1)
-        self._stream.log(
-            f"/robot/{link}", rr.Transform3D(translation=position_m, quaternion=xyzw)
-        )
+        self._stream.log(f"/robot/{link}", rr.Transform3D(translation=position_m, quaternion=xyzw))
 
     def wires(self, time_s: float, wires: Sequence[Wire]) -> None:
-        """All wires as one entity, and a word at the modules that were added."""
+        """All wires as one entity, and the modules they come from as another."""
         self._stream.set_time(TIMELINE, duration=time_s)
         strips = rr.LineStrips3D(
             [wire.points_m for wire in wires],
             radii=[wire.radius_m for wire in wires],
             colors=[wire.color for wire in wires],
         )
-        self._stream.log("/robot_wires", strips)
-        named = [wire for wire in wires if wire.label]
         modules = rr.Points3D(
-            [wire.points_m[0] for wire in named],
-            radii=[0.008] * len(named),
-            colors=[wire.color for wire in named],
-            labels=[wire.label for wire in named],
-            show_labels=True,
+            [wire.points_m[0] for wire in wires],
+            radii=[MODULE_RADIUS_M] * len(wires),
+            colors=[wire.module_color for wire in wires],
+            labels=[wire.label for wire in wires],
+            show_labels=any(wire.label for wire in wires),
         )
-        self._stream.log("/robot_added", modules)
+        self._stream.log("/wires", strips)
+        self._stream.log("/modules", modules)
 
 
 def _archetypes(kind: str, shapes: Sequence[Shape]) -> dict[str, rr.AsComponents]:

@@ -47,7 +47,7 @@ class Stream:
     ) -> None:
         self._plots = Plots(settings, canvas)
         self._story = Story(canvas)
-        self._scene = None if body is None else Scene(settings, canvas, body)
+        self._scene = Scene(settings, canvas, body, self._plots.muscles) if body else None
         self._url = url
         self._drawn_ns = self._framed_ns = -DRAW_NS
 

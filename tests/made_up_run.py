@@ -65,6 +65,9 @@ def run(seconds: float) -> Iterator[tuple[int, m.Message]]:
                     loss_old=0.6 * loss,
                 ),
             )
+        if math.isclose(t, 30.0):
+            done = m.TrainingProgress(stamp_ns=now_ns, job="grow-1", stage="done")
+            yield now_ns, done
         if i % 100 == 0:
             yield now_ns, m.Clock(stamp_ns=now_ns, speed=1.0, real_time_factor=1.0, incarnation=1)
             for process, cpu in (("world", 28.0), ("driver-arm", 9.0), ("estimator", 4.0)):
