@@ -40,6 +40,7 @@ class Plant:
         self.simulation = settings.simulation
         self.joints = settings.joints
         self.wires: list[str] = []
+        self.paths: dict[str, MusclePath] = {}  # nominal paths of the body file's own wires
         self._spec = mj.MjSpec.from_file(str(settings.body_file))
         self._prepare()
         self.model = self._spec.compile()
@@ -105,7 +106,7 @@ class Plant:
         """
         if name in self.wires:
             raise ValueError(f"muscle '{name}' is on the body already")
-        rng = self._rng(f"{self.seed}/{name}")
+        rng = self._rng(name if name in self.paths else f"{self.seed}/{name}")
         places = (path.attachment, *path.relays)
         self._check_path(places)
         tendon = self._spec.add_tendon(name=name)
@@ -189,6 +190,7 @@ class Plant:
             self._spec.delete(actuator)
         for tendon in self._spec.tendons:
             rng = self._rng(tendon.name)
+            self.paths[tendon.name] = _nominal_path(tendon)
             for wrap in tendon.path:
                 if wrap.type == mj.mjtWrap.mjWRAP_SITE:
                     wrap.target.pos = wrap.target.pos + self._assembly_error(rng)
@@ -242,3 +244,15 @@ class Plant:
     def _rng(self, text: str) -> np.random.Generator:
         return np.random.default_rng(zlib.crc32(text.encode()))
 
+
+
+def _nominal_path(tendon: Any) -> MusclePath:
+    places = []
+    for wrap in tendon.path:
+        if wrap.type == mj.mjtWrap.mjWRAP_SITE:
+            x, y, z = (float(v) for v in wrap.target.pos)
+            places.append(Place(link=wrap.target.parent.name, position_m=(x, y, z)))
+        else:
+            side = wrap.sidesite.name if wrap.sidesite else ""
+            places.append(Place(wrap=wrap.target.name, side=side))
+    return MusclePath(attachment=places[0], direction=(0.0, 0.0, -1.0), relays=tuple(places[1:]))

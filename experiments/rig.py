@@ -1,0 +1,175 @@
+"""The whole robot in one process on a virtual clock: same logic, same bytes on the wire, same plant.
+
+The live group and this rig differ only in the bus and the clock. It is deterministic, and as fast
+as the processor allows.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from hardware_sim.robot import SimulatedRobot
+from runtime import messages as m
+from runtime.logic import Logic, MemoryStore
+from runtime.messages import Message, Reply
+from runtime.settings import RobotSettings
+from services.logic.estimator import Estimator
+from services.logic.executive import Executive
+from services.logic.muscle_driver import MuscleDriver
+from services.logic.retrainer import Retrainer
+from services.logic.skeleton import Skeleton
+
+LINE_SLACK_NS = 1_000_000  # a reply that is out within the step is heard within the step
+
+
+class RigTimeout(RuntimeError):
+    """What was waited for did not happen in the robot time allowed."""
+
+
+class Rig:
+    """One robot on a virtual clock.
+
+    Attributes:
+        robot: the simulated robot, whose truth only scores.
+        now_ns: robot time.
+        events: all events so far.
+        last: newest message of each type.
+    """
+
+    def __init__(self, settings: RobotSettings, seed: int = 0, services: bool = True) -> None:
+        self.settings = settings
+        self.robot = SimulatedRobot(settings, seed)
+        self.events: list[m.Event] = []
+        self.last: dict[type[Message], Message] = {}
+        self.watchers: list[Callable[[Message], None]] = []
+        self._logics: list[Logic] = []
+        self._due: dict[int, int] = {}
+        self._woken: set[int] = set()
+        self._readers: dict[type[Message], list[Logic]] = defaultdict(list)
+        self._replies: deque[tuple[int, m.BusReply]] = deque()
+        self.drivers = [
+            self.add(MuscleDriver(settings, chain.name, MemoryStore())) for chain in settings.chain
+        ]
+        if services:
+            self.estimator = self.add(Estimator(settings))
+            self.retrainer = self.add(
+                Retrainer(settings, MemoryStore(), shipped_schema(settings), _at_once)
+            )
+            skeleton = Skeleton(settings.body_file, settings.joints)
+            self.executive = self.add(Executive(settings, skeleton, MemoryStore(), seed))
+
+    @property
+    def now_ns(self) -> int:
+        """Robot time."""
+        return self.robot.now_ns
+
+    def add(self, logic: Any) -> Any:
+        """Let a logic take part."""
+        self._logics.append(logic)
+        self._due[id(logic)] = self.robot.now_ns
+        for kind in logic.inputs:
+            self._readers[kind].append(logic)
+        return logic
+
+    def ask(self, request: Message) -> Reply:
+        """Put a request to the hands or to the logics that answer it."""
+        if isinstance(request, m.Plug):
+            self._publish([self.robot.plug(request)])
+            return Reply(ok=True)
+        if isinstance(request, m.Unplug):
+            self._publish([self.robot.unplug(request)])
+            return Reply(ok=True)
+        reply = Reply(ok=False, text=f"nobody answers {type(request).__name__}")
+        for logic in self._logics:
+            if type(request) in logic.requests:
+                reply = logic.answer(request, self.now_ns)
+                self._woken.add(id(logic))
+        return reply
+
+    def run(self, seconds: float) -> None:
+        """Let robot time pass."""
+        for _ in range(round(seconds * 1000)):
+            self.step()
+
+    def run_until(self, condition: Callable[[], bool], limit_s: float, what: str = "") -> None:
+        """Let robot time pass until something holds.
+
+        Raises:
+            RigTimeout: it did not come to hold within `limit_s` of robot time.
+        """
+        for _ in range(round(limit_s * 1000)):
+            if condition():
+                return
+            self.step()
+        raise RigTimeout(f"{what or 'the condition'} did not hold within {limit_s} s")
+
+    def step(self) -> None:
+        """One millisecond."""
+        self.robot.step()
+        now_ns = self.robot.now_ns
+        while self._replies and self._replies[0][0] <= now_ns:
+            self._publish([self._replies.popleft()[1]])
+        for _ in range(8):  # answers to answers within the step: ends as logics fall silent
+            ready = [
+                logic
+                for logic in self._logics
+                if id(logic) in self._woken or self._due[id(logic)] <= now_ns
+            ]
+            if not ready:
+                break
+            for logic in ready:
+                key = id(logic)
+                self._woken.discard(key)
+                if self._due[key] <= now_ns:
+                    self._due[key] = now_ns + logic.period_ns
+                self._publish(logic.tick(now_ns))
+
+    def _publish(self, messages: Iterable[Message]) -> None:
+        now_ns = self.robot.now_ns
+        for message in messages:
+            if type(message) is m.BusRequest:
+                reply, free_ns = self.robot.exchange(message)
+                if free_ns - now_ns <= LINE_SLACK_NS:
+                    self._deliver(reply)
+                else:
+                    self._replies.append((free_ns, reply))
+                continue
+            self._deliver(message)
+
+    def _deliver(self, message: Message) -> None:
+        kind = type(message)
+        self.last[kind] = message
+        if kind is m.Event:
+            self.events.append(message)  # type: ignore[arg-type]
+        for watcher in self.watchers:
+            watcher(message)
+        for logic in self._readers.get(kind, ()):
+            logic.receive(message, self.robot.now_ns)
+            self._woken.add(id(logic))
+
+
+def shipped_schema(settings: RobotSettings) -> bytes | None:
+    """Bytes of the schema that ships with the robot, if it is there."""
+    path = settings.schema_file
+    return path.read_bytes() if path is not None and path.exists() else None
+
+
+def angles_deg(message: m.WorldTruth) -> list[float]:
+    """True joint angles in degrees."""
+    return [float(np.degrees(angle)) for angle in message.angle_rad]
+
+
+def _at_once(job: Callable[[], Any]) -> Any:
+    """Runs a training job where it stands: robot time does not pass meanwhile."""
+    from concurrent.futures import Future
+
+    future: Future[Any] = Future()
+    try:
+        future.set_result(job())
+    except Exception as error:  # handed on: whoever asks for the result gets it
+        future.set_exception(error)
+    return future

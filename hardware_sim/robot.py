@@ -1,0 +1,330 @@
+"""The simulated robot: a body, its muscle modules and their daisy chains, one millisecond at a time.
+
+What goes in and out is what a robot has: bytes on the chains, and hands that plug a module in or
+pull it off. Everything else (`truth`) is for scoring.
+"""
+
+from __future__ import annotations
+
+import zlib
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware_sim.chain import Chain
+from hardware_sim.faults import Faults
+from hardware_sim.firmware import JointModule, MuscleModule
+from hardware_sim.muscle_bank import MuscleBank
+from hardware_sim.plant import DT_S, Plant
+from runtime import messages as m
+from runtime.settings import RobotSettings
+
+Array = NDArray[np.float64]
+
+STEP_NS = 1_000_000
+NOISE_BLOCK = 1000  # rows of noise drawn at once: a draw of one row costs as much as forty
+LOAD_CELL_OFFSET_N = 1.5  # spread of load cells that nobody tared
+
+
+class PlugError(ValueError):
+    """What was asked of the hands cannot be done; the text says why and what to do."""
+
+
+class _Shelved(msgspec.Struct):
+    """A module that was unplugged: it remembers its registers, and it may come back."""
+
+    chain: str
+    path: m.MusclePath
+    module: dict[str, Any]
+
+
+class SimulatedRobot:
+    """Body, modules and chains under one clock. M muscles are in the order of `plant.wires`."""
+
+    def __init__(self, settings: RobotSettings, seed: int = 0) -> None:
+        self.settings = settings
+        self.now_ns = 0
+        self.plant = Plant(settings, seed)
+        self.bank = MuscleBank()
+        self.faults = Faults(seed)
+        self.chains = {row.name: Chain(row.name, row.baud, self.faults) for row in settings.chain}
+        self._rng = np.random.default_rng([seed, 1])
+        self._noise: Array = np.zeros((0, 0))
+        self._noise_row = 0
+        self._modules: dict[str, MuscleModule] = {}
+        self._chain_of: dict[str, str] = {}
+        self._paths: dict[str, m.MusclePath] = {}  # nominal, of the muscles that are plugged in
+        self._shelf: dict[str, _Shelved] = {}
+        # raw readings are off by these: the load cell's offset and where the encoder began
+        self._cell_offset_n = np.zeros(0)
+        self._encoder_offset_m = np.zeros(0)
+        self._tension_n = np.zeros(0)
+        self._peaks = np.zeros((2, 0))
+        self._assemble()
+
+    # ── time ──────────────────────────────────────────────────────────────────────────────────
+
+    def step(self) -> None:
+        """One millisecond: sense, run the modules' loops, move."""
+        plant, simulation = self.plant, self.settings.simulation
+        tension = plant.sense()
+        if self._noise_row >= len(self._noise) or self._noise.shape[1] != 2 * len(tension):
+            self._noise = self._rng.normal(size=(NOISE_BLOCK, 2 * len(tension)))
+            self._noise_row = 0
+        noise = self._noise[self._noise_row]
+        self._noise_row += 1
+        count = len(tension)
+        speed = self.bank.step(
+            DT_S,
+            tension + self._cell_offset_n + simulation.tension_noise_n * noise[:count],
+            plant.wire_length_m
+            - self._encoder_offset_m
+            + simulation.length_noise_m * noise[count:],
+            plant.drive.temperature_degc + self._extra_heat(),
+            self.now_ns,
+        )
+        plant.act(speed, tension)
+        self._tension_n = tension
+        np.maximum(self._peaks[0], tension, out=self._peaks[0])
+        np.maximum(self._peaks[1], np.abs(plant.drive.speed_m_s), out=self._peaks[1])
+        self.now_ns += STEP_NS
+
+    def exchange(self, request: m.BusRequest) -> tuple[m.BusReply, int]:
+        """What a chain answers to bytes, and the robot time at which the line is free again."""
+        chain = self.chains[request.chain]
+        data = chain.receive(request.data, self.now_ns)
+        reply = m.BusReply(
+            stamp_ns=self.now_ns, chain=request.chain, sequence=request.sequence, data=data
+        )
+        return reply, self.now_ns + chain.reply_time_ns(request.data, data)
+
+    # ── hands ─────────────────────────────────────────────────────────────────────────────────
+
+    def plug(self, request: m.Plug) -> m.Event:
+        """Fix a module to the body, lead its wire, and extend the chain at its tail.
+
+        Raises:
+            PlugError: unknown spare, muscle plugged already, unknown chain, impossible path.
+        """
+        name = request.muscle
+        if name in self._modules:
+            raise PlugError(f"muscle '{name}' is plugged in already")
+        shelved = self._shelf.pop(name, None)
+        spare = next((s for s in self.settings.spare if s.name == name), None)
+        path = request.path or (shelved.path if shelved else spare.path if spare else None)
+        if path is None:
+            known = ", ".join(s.name for s in self.settings.spare) or "none"
+            raise PlugError(
+                f"no spare '{name}' in the robot file (spares: {known}); give a path with --path"
+            )
+        chain = (
+            request.chain
+            or (shelved.chain if shelved else spare.chain if spare else "")
+            or next(iter(self.chains))
+        )
+        if chain not in self.chains:
+            raise PlugError(f"no chain '{chain}'; there are: {', '.join(self.chains)}")
+        try:
+            self.plant.add_muscle(name, path)
+        except ValueError as error:
+            raise PlugError(str(error)) from error
+        self._paths[name] = path
+        serial = serial_number(self.settings.name, name)
+        module = self._add_module(name, chain, serial, request.module_id)
+        if shelved:  # switched on anew: it knows its id, and its encoder begins at zero again
+            column = {**module.save(), **shelved.module}
+            module.restore(column)
+            module.reboot()
+        self._encoder_offset_m[-1] = self.plant.wire_length_m[-1] + self._rng.normal(0.0, 0.01)
+        return m.Event(
+            stamp_ns=self.now_ns,
+            process="world",
+            level="info",
+            kind="plugged",
+            text=f"muscle '{name}' was plugged into chain '{chain}'",
+            data={"muscle": name, "chain": chain, "serial": str(serial)},
+        )
+
+    def unplug(self, request: m.Unplug) -> m.Event:
+        """Pull a module off its chain and its wire off the body.
+
+        Raises:
+            PlugError: no such muscle is plugged in.
+        """
+        name = request.muscle
+        if name not in self._modules:
+            known = ", ".join(self._modules)
+            raise PlugError(f"no muscle '{name}' is plugged in; there are: {known}")
+        module = self._modules.pop(name)
+        chain = self._chain_of.pop(name)
+        self.chains[chain].unplug(module.serial)
+        self._shelf[name] = _Shelved(
+            chain=chain, path=self._paths.pop(name), module=module.save()
+        )
+        index = self.plant.wires.index(name)
+        self.bank.remove(index)
+        self.plant.remove_muscle(name)
+        self._cell_offset_n = np.delete(self._cell_offset_n, index)
+        self._encoder_offset_m = np.delete(self._encoder_offset_m, index)
+        self._peaks = np.delete(self._peaks, index, axis=1)
+        self._tension_n = np.delete(self._tension_n, index)
+        return m.Event(
+            stamp_ns=self.now_ns,
+            process="world",
+            level="info",
+            kind="unplugged",
+            text=f"muscle '{name}' was pulled off chain '{chain}'",
+            data={"muscle": name, "chain": chain},
+        )
+
+    def fault(self, request: m.Fault) -> m.Event:
+        """Break something, or mend it (amount 0 where that makes sense).
+
+        Raises:
+            PlugError: no such kind of fault or no such target.
+        """
+        targets = {*self.chains, *self._modules, *self.plant.joints}
+        if request.target not in targets:
+            known = ", ".join(sorted(targets))
+            raise PlugError(f"nothing is called '{request.target}'; there are: {known}")
+        try:
+            self.faults.set(request.kind, request.target, request.amount)
+        except ValueError as error:
+            raise PlugError(str(error)) from error
+        if request.kind == "rupture":
+            self.plant.rupture(request.target)
+        return m.Event(
+            stamp_ns=self.now_ns,
+            process="world",
+            level="warning",
+            kind="fault",
+            text=f"{request.kind} on '{request.target}', {request.amount:g}",
+            data={"kind": request.kind, "target": request.target},
+        )
+
+    # ── what really is ────────────────────────────────────────────────────────────────────────
+
+    def truth(self) -> m.WorldTruth:
+        """True state and greatest values so far, for scoring only."""
+        return m.WorldTruth(
+            stamp_ns=self.now_ns,
+            joints=self.plant.joints,
+            angle_rad=tuple(self.plant.angle_rad.tolist()),
+            muscles=tuple(self.plant.wires),
+            tension_n=tuple(self._tension_n.tolist()),
+            length_m=tuple(self.plant.wire_length_m.tolist()),
+            peak_tension_n=tuple(self._peaks[0].tolist()),
+            peak_speed_m_s=tuple(self._peaks[1].tolist()),
+            peak_target_speed_m_s=tuple(self.bank.peak_target_speed_m_s.tolist()),
+        )
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that `restore` needs, of plain types."""
+        return {
+            "now_ns": self.now_ns,
+            "plant": self.plant.snapshot(),
+            "paths": msgspec.to_builtins(self._paths),
+            "shelf": msgspec.to_builtins(self._shelf),
+            "chain_of": dict(self._chain_of),
+            "order": {
+                name: [module.serial for module in chain.modules]
+                for name, chain in self.chains.items()
+            },
+            "modules": {name: module.save() for name, module in self._modules.items()},
+            "cell_offset_n": self._cell_offset_n.tolist(),
+            "encoder_offset_m": self._encoder_offset_m.tolist(),
+            "peaks": self._peaks.tolist(),
+        }
+
+    def restore(self, snapshot: dict[str, Any], now_ns: int) -> None:
+        """Be as the snapshot was, at a robot time that is not before it."""
+        paths = msgspec.convert(snapshot["paths"], dict[str, m.MusclePath])
+        there, wanted = list(self._modules), list(snapshot["modules"])
+        same = 0  # wires that are in place already; the others are put on in the saved order
+        while same < min(len(there), len(wanted)) and there[same] == wanted[same]:
+            same += 1
+        for name in reversed(there[same:]):
+            self.unplug(m.Unplug(muscle=name))
+        self._shelf.clear()
+        for name in wanted[same:]:
+            chain = snapshot["chain_of"][name]
+            self.plug(m.Plug(muscle=name, chain=chain, path=paths[name]))
+        self.plant.restore(snapshot["plant"], paths)
+        for name, state in snapshot["modules"].items():
+            self._modules[name].restore(state)
+        for name, order in snapshot["order"].items():
+            self.chains[name].modules.sort(key=lambda module: order.index(module.serial))
+        self._shelf = msgspec.convert(snapshot["shelf"], dict[str, _Shelved])
+        self._paths = paths
+        self._cell_offset_n = np.array(snapshot["cell_offset_n"])
+        self._encoder_offset_m = np.array(snapshot["encoder_offset_m"])
+        self._peaks = np.array(snapshot["peaks"])
+        # the modules heard their master when the snapshot was taken
+        self.bank.heard_ns += now_ns - snapshot["now_ns"]
+        self.now_ns = now_ns
+
+    # ── inside ────────────────────────────────────────────────────────────────────────────────
+
+    def _assemble(self) -> None:
+        settings = self.settings
+        by_name = {muscle.name: muscle for muscle in settings.muscle}
+        missing = [name for name in self.plant.wires if name not in by_name]
+        if missing:
+            raise PlugError(
+                f"tendon '{missing[0]}' of {settings.body_file.name} has no [[muscle]] in "
+                f"{settings.file}; add one"
+            )
+        rest_m = self.plant.wire_length_m.copy()
+        for index, name in enumerate(self.plant.wires):
+            muscle = by_name[name]
+            serial = serial_number(settings.name, name)
+            self._add_module(name, muscle.chain, serial, muscle.id)
+            self._paths[name] = self.plant.paths[name]
+            # calibrated when it was built: zero length at the rest posture, load cell tared
+            self.bank.length_zero_m[index] = rest_m[index]
+            self.bank.tension_tare_n[index] = self._cell_offset_n[index]
+        for number, joint in enumerate(settings.joint):
+            self.chains[joint.chain].plug(
+                JointModule(
+                    serial_number(settings.name, joint.name),
+                    lambda number=number: self._angle_reading(number),
+                    joint.id,
+                    joint.name,
+                )
+            )
+
+    def _extra_heat(self) -> Array | float:
+        if not self.faults.active:
+            return 0.0
+        return np.array([self.faults.amount("overheat", name) or 0.0 for name in self.plant.wires])
+
+    def _angle_reading(self, number: int) -> float:
+        noise = self.settings.simulation.angle_noise_rad * self._rng.normal()
+        return float(self.plant.angle_rad[number]) + noise
+
+    def _add_module(self, name: str, chain: str, serial: int, module_id: int) -> MuscleModule:
+        limits = self.settings.module
+        index = self.bank.add(
+            tension_limit_n=limits.tension_limit_n,
+            winding_speed_limit_m_s=limits.winding_speed_m_s,
+            temperature_limit_degc=limits.temperature_limit_degc,
+            spool_radius_m=limits.spool_radius_m,
+            temperature_degc=self.settings.simulation.ambient_degc,
+        )
+        module = MuscleModule(self.bank, index, serial, module_id, name)
+        self.chains[chain].plug(module)
+        self._modules[name] = module
+        self._chain_of[name] = chain
+        offset = np.random.default_rng(serial).normal(0.0, LOAD_CELL_OFFSET_N)
+        self._cell_offset_n = np.append(self._cell_offset_n, offset)
+        self._encoder_offset_m = np.append(self._encoder_offset_m, 0.0)
+        self._tension_n = np.append(self._tension_n, 0.0)
+        self._peaks = np.append(self._peaks, np.zeros((2, 1)), axis=1)
+        return module
+
+
+def serial_number(robot: str, name: str) -> int:
+    """The serial number burnt into a module: the same in every run."""
+    return (zlib.crc32(robot.encode()) << 16 | zlib.crc32(name.encode()) & 0xFFFF) or 1

@@ -1,0 +1,256 @@
+"""The arm as the executive has it: what its modules last said, and how a posture becomes commands.
+
+Postures are planned on the body schema (`body_schema/control.py`). Whenever control begins anew,
+after a silence or with another schema, commands start from what the arm does at that moment and
+cross-fade to the plan, so that nothing jumps. Muscles that the schema does not know are guests:
+they follow with a small tension and never hold the posture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.messages import (
+    ChainBody,
+    ChainCommand,
+    ChainState,
+    JointState,
+    Message,
+    ModuleInfo,
+    Motion,
+)
+from runtime.settings import RobotSettings
+from services.body_schema.control import Plan, plan
+from services.body_schema.schema import Schema
+from services.logic.motion import Path, min_jerk
+from services.logic.skeleton import Skeleton
+
+Array = NDArray[np.float64]
+
+AUTHOR = "executive"
+STALE_NS = 100_000_000  # sensor data older than this are silence
+LEASE_NS = 200_000_000
+FADE_S = 0.8
+GUEST_BIAS_N = 5.0
+SLEW_SHARE = 0.8  # of the winding speed that targets may use
+
+
+class Arm:
+    """Sensors in, commands out, for all chains of one robot. Joints (N,) are in file order."""
+
+    def __init__(self, settings: RobotSettings, skeleton: Skeleton) -> None:
+        self.settings = settings
+        self.skeleton = skeleton
+        self.schema: Schema | None = None
+        self.path: Path | None = None
+        self.plan: Plan | None = None
+        self.guest_bias_n: dict[str, float] = {}
+        self._bodies: dict[str, ChainBody] = {}
+        self._states: dict[str, ChainState] = {}
+        self._joints: JointState | None = None
+        self._offset_m: dict[str, float] | None = None  # of targets from the plan, fading out
+        self._fade_s = 0.0
+        self._target_m: dict[str, float] = {}
+
+    # ── sensing ───────────────────────────────────────────────────────────────────────────────
+
+    def receive(self, message: Message) -> None:
+        """Take in what the drivers say."""
+        if isinstance(message, ChainState):
+            self._states[message.chain] = message
+        elif isinstance(message, JointState):
+            self._joints = message
+        elif isinstance(message, ChainBody):
+            self._bodies[message.chain] = message
+
+    def silent(self, now_ns: int) -> str:
+        """What is missing to move the arm, in words; empty when nothing is."""
+        if self.schema is None:
+            return "waiting for a body schema"
+        for chain in self.settings.chain:
+            state = self._states.get(chain.name)
+            if state is None or now_ns - state.stamp_ns > STALE_NS:
+                return f"chain '{chain.name}' is silent"
+            if chain.name not in self._bodies:
+                return f"chain '{chain.name}' has not said who is plugged in"
+        if self._joints is None or now_ns - self._joints.stamp_ns > STALE_NS:
+            return "joint angles are silent"
+        return ""
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a stop is latched on any chain."""
+        return any(state.mode in ("stopping", "stopped") for state in self._states.values())
+
+    @property
+    def angle_rad(self) -> Array:
+        """Measured joint angles, shape (N,)."""
+        assert self._joints is not None
+        angles = dict(zip(self._joints.joints, self._joints.angle_rad, strict=True))
+        return np.array([angles[name] for name in self.settings.joints])
+
+    def felt(self) -> dict[str, tuple[float, float]]:
+        """Length [m] and tension [N] of every muscle that is there."""
+        return {
+            name: (state.length_m[i], state.tension_n[i])
+            for state in self._states.values()
+            for i, name in enumerate(state.muscles)
+        }
+
+    def modules(self) -> Iterator[ModuleInfo]:
+        """All modules on all chains."""
+        for body in self._bodies.values():
+            yield from body.modules
+
+    def module(self, muscle: str) -> ModuleInfo | None:
+        """The module of one muscle, if a chain knows it."""
+        return next((m for m in self.modules() if m.kind == "muscle" and m.name == muscle), None)
+
+    # ── moving ────────────────────────────────────────────────────────────────────────────────
+
+    def use(self, schema: Schema) -> None:
+        """Control by this schema from now on; commands cross-fade."""
+        self.schema = schema
+        for name in schema.muscles:
+            self.guest_bias_n.pop(name, None)
+        self.plan = None
+        if self.path is not None:
+            theta, _ = self.path.now()
+            self.path = Path.between(theta, theta, self._floor(), self._floor(), 1.0)
+        self.anchor()
+
+    def anchor(self) -> None:
+        """Begin from what the arm does now: the next commands change nothing, then fade to plan."""
+        self._offset_m = None
+        self._fade_s = 0.0
+
+    def drop(self) -> None:
+        """Forget where the arm was going: after a stop it stays where it is."""
+        self.path = None
+        self.plan = None
+        self._target_m.clear()
+        self.anchor()
+
+    def go(self, goal_rad: Array, extra_floor_n: Array | float = 0.0) -> None:
+        """Set out for a posture (N,), every schema muscle at least at floor + extra (M,) there."""
+        start, floor = (self.angle_rad, self._floor()) if self.path is None else self.path.now()
+        low, high = self.skeleton.range_rad.T
+        speed = np.radians(self.settings.control.joint_speed_deg_s)
+        self.path = Path.between(
+            start, np.clip(goal_rad, low, high), floor, self._floor() + extra_floor_n, speed
+        )
+
+    @property
+    def reference_rad(self) -> Array:
+        """Where the joints should be now, shape (N,)."""
+        return self.angle_rad if self.path is None else self.path.now()[0]
+
+    def resting_s(self) -> float:
+        """How long the reference has stood at its goal with fading over; negative before."""
+        if self.path is None:
+            return -1.0
+        return min(self.path.arrived_s, self._fade_s - FADE_S)
+
+    def step(self, dt_s: float) -> None:
+        """Let time pass and plan this moment."""
+        assert self.schema is not None
+        if self.path is None:
+            self.go(self.angle_rad)
+        assert self.path is not None
+        self.path.advance(dt_s)
+        felt = self.felt()
+        theta, floor = self.path.now()
+        there = np.array([name in felt for name in self.schema.muscles])
+        ceiling = np.where(there, self.settings.control.tension_ceiling_n, 0.0)
+        self.plan = plan(
+            self.schema,
+            theta,
+            self.skeleton.gravity_torque_nm(theta),
+            np.minimum(floor, ceiling),
+            ceiling,
+            None if self.plan is None else self.plan.tension_n,
+        )
+        self._aim(felt, dt_s)
+
+    def _aim(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
+        """Targets for all muscles: the plan, the fading offset, and never faster than the motor."""
+        assert self.schema is not None and self.plan is not None
+        stiffness = self.settings.control.stiffness_n_m
+        planned = {
+            name: (float(self.plan.tension_n[i]), float(self.plan.length_m[i]))
+            for i, name in enumerate(self.schema.muscles)
+            if name in felt
+        }
+        if self._offset_m is None:
+            # f_ref = f_plan + k (l - target) shall equal the tension that is there now
+            self._offset_m = {
+                name: felt[name][0] + (f - felt[name][1]) / stiffness - length
+                for name, (f, length) in planned.items()
+            }
+        self._fade_s += dt_s
+        share = 1.0 - min_jerk(self._fade_s / FADE_S)
+        reach = SLEW_SHARE * self.settings.module.winding_speed_m_s * dt_s
+        targets: dict[str, float] = {}
+        for name in felt:
+            if name not in planned:
+                targets[name] = felt[name][0]  # without stiffness it means nothing: follow
+                continue
+            target = planned[name][1] + share * self._offset_m.get(name, 0.0)
+            last = self._target_m.get(name, target)
+            targets[name] = min(max(target, last - reach), last + reach)
+        self._target_m = targets
+
+    def commands(self, now_ns: int) -> Iterator[ChainCommand]:
+        """What `step` decided, one message a chain."""
+        assert self.schema is not None and self.plan is not None
+        planned = dict(zip(self.schema.muscles, self.plan.tension_n.tolist(), strict=True))
+        stiffness = self.settings.control.stiffness_n_m
+        for chain, state in self._states.items():
+            known = [name in planned for name in state.muscles]
+            yield ChainCommand(
+                stamp_ns=now_ns,
+                chain=chain,
+                author=AUTHOR,
+                lease_ns=LEASE_NS,
+                muscles=state.muscles,
+                bias_n=tuple(
+                    planned.get(name, self.guest_bias_n.get(name, GUEST_BIAS_N))
+                    for name in state.muscles
+                ),
+                stiffness_n_m=tuple(stiffness if k else 0.0 for k in known),
+                target_length_m=tuple(self._target_m[name] for name in state.muscles),
+            )
+
+    def _floor(self) -> Array:
+        assert self.schema is not None
+        return np.full(len(self.schema.muscles), self.settings.control.tension_floor_n)
+
+
+class MotionRecorder:
+    """Collects what the sensors say during one motion, as (T, N) and (T, M) rows."""
+
+    def __init__(self, muscles: tuple[str, ...]) -> None:
+        self.muscles = muscles
+        self._rows: list[tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...], bool]] = []
+
+    def sample(self, arm: Arm, settled: bool) -> None:
+        """Take one row; a moment at which a muscle is missing is left out."""
+        felt = arm.felt()
+        if any(name not in felt for name in self.muscles):
+            return
+        self._rows.append(
+            (
+                tuple(arm.angle_rad.tolist()),
+                tuple(felt[name][1] for name in self.muscles),
+                tuple(felt[name][0] for name in self.muscles),
+                settled,
+            )
+        )
+
+    def motion(self) -> Motion:
+        """All rows taken so far."""
+        theta, f, length, settled = zip(*self._rows, strict=True) if self._rows else ((),) * 4
+        return Motion(angle_rad=theta, tension_n=f, length_m=length, settled=settled)

@@ -1,0 +1,280 @@
+"""The growth procedure: join, collect, relearn, check, adopt, resume; and its inverse, shrinking.
+
+What has to outlive a killed executive is in `GrowthRecord`, saved after every finished stage and
+motion: a new executive goes on from there. Every way it can fail ends in holding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.messages import (
+    Event,
+    Message,
+    Motion,
+    SchemaCandidate,
+    SchemaVerdict,
+    SchemaVersion,
+    TrainingJob,
+    TrainingProgress,
+)
+from services.body_schema.schema import Schema, SchemaError
+from services.logic.arm import GUEST_BIAS_N, Arm, MotionRecorder
+
+Array = NDArray[np.float64]
+
+SETTLE_S = 0.45  # at the end of each motion
+SETTLED_TAIL_S = 0.2  # of which the last part counts as settled
+SAMPLE_EVERY = 2  # ticks
+JOIN_LIMIT_S = 20.0
+TRAIN_LIMIT_S = 180.0
+REPEAT_S = 1.0  # of the job, until the retrainer is heard
+FLOOR_SPREAD_N = 12.0  # co-contraction that motions add at random
+
+
+class Target(msgspec.Struct, frozen=True):
+    """Where one motion goes: posture (N,), extra tension floor of old muscles (M,), guest bias."""
+
+    angle_rad: tuple[float, ...]
+    floor_n: tuple[float, ...]
+    bias_n: float
+
+
+class GrowthRecord(msgspec.Struct):
+    """All that a restarted executive needs."""
+
+    kind: str  # grow | refit | shrink
+    muscle: str  # that comes or goes
+    muscles: tuple[str, ...]  # of the schema that is wanted
+    base_version: int
+    method: str
+    seed: int
+    n_new: int
+    n_check: int
+    return_rad: tuple[float, ...]
+    targets: tuple[Target, ...]
+    stage: str = "join"  # join | collect | relearn | adopt | resume
+    motions: list[Motion] = []
+    job: str = ""
+    restarts: int = 0
+
+
+class Growth:
+    """One run of the procedure over an `Arm`; `tick` yields messages until `over`.
+
+    Attributes:
+        over: "" while it runs, else `done` or the reason for which it gave up.
+        dirty: set when `record` has to be saved.
+    """
+
+    def __init__(self, record: GrowthRecord, arm: Arm, limit_mm: float) -> None:
+        self.record = record
+        self.over = ""
+        self.dirty = True
+        self._arm = arm
+        self._limit_m = limit_mm * 1e-3
+        self._recorder: MotionRecorder | None = None
+        self._ticks = 0
+        self._waited_s = 0.0
+        self._since_ask_s = REPEAT_S
+        self._heard = False
+        self._candidate: SchemaCandidate | None = None
+        self._bias = GUEST_BIAS_N
+        self._bias_from = GUEST_BIAS_N
+
+    @property
+    def steps(self) -> int:
+        """Motions in all, those for the check included."""
+        return self.record.n_new + self.record.n_check
+
+    def receive(self, message: Message) -> None:
+        """Candidates, adoptions and progress of this run's job."""
+        record = self.record
+        if isinstance(message, SchemaCandidate):
+            if message.job == record.job and self._candidate is None:
+                self._candidate = message
+        elif isinstance(message, SchemaVersion):
+            if message.job == record.job and record.stage == "adopt":
+                self._enter("resume")
+                self._arm.go(np.array(record.return_rad))
+        elif isinstance(message, TrainingProgress) and message.job == record.job:
+            self._heard = True
+            if message.stage == "failed":
+                self.over = f"relearning failed: {message.text}"
+
+    def tick(self, now_ns: int, dt_s: float) -> Iterator[Message]:
+        """Go on; called while the arm can move, after `arm.step`."""
+        self._ticks += 1
+        self._waited_s += dt_s
+        if self.record.stage == "join":
+            self._join()
+        elif self.record.stage == "collect":
+            self._collect(self.record.n_new, "relearn")
+        elif self.record.stage == "relearn":
+            yield from self._relearn(now_ns, dt_s)
+        elif self.record.stage == "adopt":
+            yield from self._ask_adoption(now_ns, dt_s)
+        elif self._arm.resting_s() >= 0.0:
+            self.over = "done"
+
+    def _enter(self, stage: str) -> None:
+        self.record.stage = stage
+        self.dirty = True
+        self._waited_s = 0.0
+        self._since_ask_s = REPEAT_S
+
+    def _join(self) -> None:
+        module = self._arm.module(self.record.muscle)
+        leaving = self.record.kind == "shrink"
+        if (leaving or (module and module.state == "up")) and self._arm.resting_s() >= 0.0:
+            self._enter("collect")
+        elif self._waited_s > JOIN_LIMIT_S:
+            self.over = f"muscle '{self.record.muscle}' did not come up within {JOIN_LIMIT_S:.0f} s"
+
+    def _collect(self, until: int, then: str) -> None:
+        """Motions up to `until`, one after the other; the guest's bias runs along each."""
+        record, arm = self.record, self._arm
+        if len(record.motions) >= until:
+            arm.guest_bias_n[record.muscle] = GUEST_BIAS_N
+            if then:
+                self._enter(then)
+            return
+        target = record.targets[len(record.motions)]
+        if self._recorder is None:
+            self._recorder = MotionRecorder(record.muscles)
+            self._bias_from, self._bias = self._bias, target.bias_n
+            arm.go(np.array(target.angle_rad), np.array(target.floor_n))
+        path = arm.path
+        assert path is not None
+        share = min(path.elapsed_s / path.duration_s, 1.0)
+        arm.guest_bias_n[record.muscle] = self._bias_from + share * (self._bias - self._bias_from)
+        settled = path.arrived_s > SETTLE_S - SETTLED_TAIL_S
+        if self._ticks % SAMPLE_EVERY == 0:
+            self._recorder.sample(arm, settled)
+        if path.arrived_s >= SETTLE_S:
+            record.motions.append(self._recorder.motion())
+            self._recorder = None
+            self.dirty = True
+
+    def _relearn(self, now_ns: int, dt_s: float) -> Iterator[Message]:
+        """Ask for the relearning; meanwhile move for the check, on motions never trained on."""
+        record = self.record
+        self._since_ask_s += dt_s
+        if not record.job:
+            record.job = f"{record.kind}-{record.muscle}-{now_ns // 1_000_000}"
+            self.dirty = True
+        if self._since_ask_s >= REPEAT_S and not self._heard:
+            self._since_ask_s = 0.0
+            yield self._job(now_ns)
+        if len(record.motions) < self.steps:
+            self._collect(self.steps, "")
+        elif self._candidate is not None:
+            yield from self._check(now_ns, self._candidate)
+        elif self._waited_s > TRAIN_LIMIT_S:
+            self.over = f"no relearned schema within {TRAIN_LIMIT_S:.0f} s"
+
+    def _job(self, now_ns: int) -> TrainingJob:
+        record = self.record
+        return TrainingJob(
+            stamp_ns=now_ns,
+            job=record.job,
+            kind=record.kind,
+            base_version=record.base_version,
+            joints=self._arm.settings.joints,
+            muscles=record.muscles,
+            method=record.method,
+            seed=record.seed,
+            motions=tuple(record.motions[: record.n_new]),
+        )
+
+    def _check(self, now_ns: int, candidate: SchemaCandidate) -> Iterator[Message]:
+        record = self.record
+        residual_m = held_out_residual_m(candidate.data, record.motions[record.n_new :])
+        mm = {name: round(value * 1e3, 3) for name, value in residual_m.items()}
+        bad = [name for name, value in residual_m.items() if not value <= self._limit_m]
+        words = ", ".join(f"{name} {value:.2f} mm" for name, value in mm.items())
+        if bad:
+            reason = f"length residual on held-out motion above {self._limit_m * 1e3:.1f} mm: {words}"
+            self.over = f"candidate refused: {reason}"
+            yield SchemaVerdict(
+                stamp_ns=now_ns, job=record.job, adopted=False, reason=reason, residual_mm=mm
+            )
+            return
+        self._enter("adopt")
+        yield Event(
+            stamp_ns=now_ns,
+            process="executive",
+            level="info",
+            kind="checked",
+            text=f"held-out motion agrees: {words}",
+            data={"job": record.job},
+        )
+
+    def _ask_adoption(self, now_ns: int, dt_s: float) -> Iterator[Message]:
+        self._since_ask_s += dt_s
+        if self._since_ask_s < REPEAT_S:
+            return
+        self._since_ask_s = 0.0
+        record = self.record
+        yield SchemaVerdict(
+            stamp_ns=now_ns,
+            job=record.job,
+            adopted=True,
+            reason="held-out motion agrees",
+            residual_mm={} if self._candidate is None else self._residuals_mm(),
+        )
+        if self._waited_s > JOIN_LIMIT_S:
+            self.over = "the retrainer did not publish the adopted schema"
+
+    def _residuals_mm(self) -> dict[str, float]:
+        assert self._candidate is not None
+        held_out = self.record.motions[self.record.n_new :]
+        residual_m = held_out_residual_m(self._candidate.data, held_out)
+        return {name: round(value * 1e3, 3) for name, value in residual_m.items()}
+
+
+def held_out_residual_m(data: bytes, motions: list[Motion]) -> dict[str, float]:
+    """Root mean square of measured minus predicted length [m] by muscle; inf for a bad schema."""
+    try:
+        schema = Schema.from_bytes(data)
+    except SchemaError:
+        return {"schema": float("inf")}
+    theta = np.concatenate([np.array(m.angle_rad) for m in motions])
+    tension = np.concatenate([np.array(m.tension_n) for m in motions])
+    length = np.concatenate([np.array(m.length_m) for m in motions])
+    error = length - schema.lengths(theta, tension)
+    rms = np.sqrt(np.mean(error**2, axis=0))
+    return dict(zip(schema.muscles, rms.tolist(), strict=True))
+
+
+def spread_targets(
+    count: int,
+    range_rad: Array,
+    muscles: int,
+    bias_n: tuple[float, float],
+    rng: np.random.Generator,
+) -> tuple[Target, ...]:
+    """Postures and tensions that lie far apart: each quantity is stratified over its range.
+
+    `range_rad` is (N, 2); `muscles` is the number of the old schema's muscles. Random motions of
+    the same number leave gaps, and gaps are what a few motions cannot afford (science.md).
+    """
+    joints = len(range_rad)
+
+    def strata(columns: int) -> Array:
+        cells = np.stack([rng.permutation(count) for _ in range(columns)], axis=1)
+        return np.asarray((cells + rng.uniform(0.2, 0.8, cells.shape)) / count)
+
+    low, high = range_rad.T
+    margin = 0.06 * (high - low)
+    postures = low + margin + strata(joints) * (high - low - 2 * margin)
+    biases = bias_n[0] + strata(1)[:, 0] * (bias_n[1] - bias_n[0])
+    floors = rng.uniform(0.0, FLOOR_SPREAD_N, (count, muscles))
+    return tuple(
+        Target(tuple(p.tolist()), tuple(f.tolist()), float(b))
+        for p, f, b in zip(postures, floors, biases, strict=True)
+    )

@@ -1,0 +1,47 @@
+"""What the robot knows of its bones: masses and joints from the MJCF, stripped of its wires.
+
+Where the wires run is not known here: that is what the body schema learns. The only file of the
+services that imports mujoco.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco as mj
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Skeleton:
+    """Rigid body of N joints, in the order of `joints`.
+
+    Attributes:
+        range_rad: (N, 2) limits of the joints.
+    """
+
+    def __init__(self, body_file: Path, joints: tuple[str, ...]) -> None:
+        spec = mj.MjSpec.from_file(str(body_file))
+        for actuator in list(spec.actuators):
+            spec.delete(actuator)
+        for tendon in list(spec.tendons):
+            spec.delete(tendon)
+        self._model = spec.compile()
+        self._data = mj.MjData(self._model)
+        found = [self._model.joint(name) for name in joints]
+        self._qpos = np.array([int(j.qposadr[0]) for j in found])
+        self._dof = np.array([int(j.dofadr[0]) for j in found])
+        self.range_rad: Array = np.array([np.asarray(j.range) for j in found])
+
+    def gravity_torque_nm(self, angle_rad: Array) -> Array:
+        """Torque that the muscles must produce to hold a posture at rest, shape (N,)."""
+        self._data.qpos[self._qpos] = angle_rad
+        mj.mj_kinematics(self._model, self._data)
+        mj.mj_comPos(self._model, self._data)
+        mj.mj_crb(self._model, self._data)
+        self._data.qvel[:] = 0.0
+        mj.mj_comVel(self._model, self._data)
+        mj.mj_rne(self._model, self._data, 0, self._data.qfrc_bias)
+        return np.asarray(self._data.qfrc_bias[self._dof]).copy()
