@@ -3,26 +3,57 @@
     train_old  h_old from data
     relearn    h_new from h_old and a handful of motions, the paper's loss and its schedules
     distil     h for fewer muscles from h's own replay
-    refit      a known muscle that came back: its length offset, in closed form
 
 Where the paper is silent, our reading: the norms are unsquared L2 norms of scaled quantities, one
-per sample and quantity, mean over the batch, summed over the quantities; all three masks in each
-epoch.
+per sample and quantity, mean over the batch, summed over quantities and masks; all three masks in
+each epoch. An epoch is one pass over D_new in minibatches, each beside as many replayed samples.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
 
 from runtime.messages import Motion
-from services.body_schema.network import Array
+from services.body_schema.growth import grow, shrink
+from services.body_schema.motions import TrainingError, taut_samples
+from services.body_schema.network import (
+    MASKS,
+    Array,
+    NetworkConfig,
+    Weights,
+    columns,
+    forward,
+    initial_weights,
+)
 from services.body_schema.schema import Schema
 
 Progress = Callable[[int, int, float, float, float], None]  # epoch, epochs, loss, new, old
 
 
-class TrainingError(ValueError):
-    """Data that nothing can be learned from; the text says in one sentence why."""
+@dataclass(frozen=True)
+class Recipe:
+    """How long and how hard to train."""
+
+    steps: int  # about: rounded to whole epochs
+    batch: int  # samples a step, each under three masks
+    rate: float  # of Adam at its highest; it rises over the first twentieth, then falls as a cosine
+
+
+OLD = Recipe(steps=20_000, batch=128, rate=4e-3)
+NEW = Recipe(steps=1400, batch=32, rate=2e-3)
+LESS = Recipe(steps=2000, batch=64, rate=2e-3)
+REPLAYED = 8192  # random (theta, f) that h_old is asked about
+
+METHODS: dict[str, Callable[[float], float]] = {  # done part of the epochs -> w_loss
+    "i": lambda done: 0.0,
+    "ii": lambda done: 1.0,
+    "iii": lambda done: 1.0 - done,
+}
 
 
 def train_old(
@@ -33,11 +64,32 @@ def train_old(
     length: Array,
     *,
     seed: int = 0,
-    epochs: int = 0,
+    recipe: Recipe = OLD,
     progress: Progress | None = None,
 ) -> Schema:
-    """h_old from theta (T, N) [rad], f (T, M) [N], length (T, M) [m]. Reproducible by seed."""
-    raise NotImplementedError
+    """h_old from theta (T, N) [rad], f (T, M) [N], length (T, M) [m]. Reproducible by seed.
+
+    Raises:
+        TrainingError: too few samples, or one that is not finite.
+    """
+    if len(theta) < 10 or not all(np.isfinite(a).all() for a in (theta, f, length)):
+        raise TrainingError(f"{len(theta)} samples, or one that is no number: nothing is learned")
+    reference = length.mean(axis=0)
+    blank = Schema(
+        joints=joints,
+        muscles=muscles,
+        weights=initial_weights(NetworkConfig(len(joints), len(muscles)), seed),
+        theta_scale_rad=np.abs(theta).max(axis=0),
+        tension_scale_n=np.abs(f).max(axis=0),
+        length_scale_m=np.ptp(length, axis=0) / 2,
+        length_reference_m=reference,
+        length_sigma_m=np.ones(len(muscles)),
+        angle_sigma_rad=np.ones(len(joints)),
+        theta_range_rad=_range(theta),
+        tension_range_n=_range(f),
+    )
+    weights = _train(blank, _scaled(blank, theta, f, length), None, recipe, seed, progress)
+    return _with_residuals(replace(blank, weights=weights), theta, f, length)
 
 
 def relearn(
@@ -47,7 +99,7 @@ def relearn(
     method: str = "iii",
     *,
     seed: int = 0,
-    epochs: int = 0,
+    recipe: Recipe = NEW,
     copy: bool = True,
     progress: Progress | None = None,
 ) -> Schema:
@@ -57,26 +109,181 @@ def relearn(
     iii (w = 1 - e / N_epoch). `copy=False` starts from random weights, as the paper's control.
 
     Raises:
-        TrainingError: nothing to learn from.
+        TrainingError: the motions leave nothing to learn from, or the method is unknown.
     """
-    raise NotImplementedError
+    if method not in METHODS:
+        raise TrainingError(f"method {method} is unknown, there are {', '.join(METHODS)}")
+    theta, f, length = taut_samples(motions, len(old.joints), len(old.muscles) + 1)
+    start = grow(
+        old,
+        added,
+        tension_scale_n=float(old.tension_scale_n.mean()),
+        length_scale_m=float(old.length_scale_m.mean()),
+        length_reference_m=float(length[:, -1].mean()),
+        tension_range_n=(float(f[:, -1].min()), float(f[:, -1].max())),
+    )
+    if not copy:
+        config = NetworkConfig(len(old.joints), len(start.muscles))
+        start = replace(start, weights=initial_weights(config, seed))
+    rng = np.random.default_rng(seed)
+    replay = _with_zeros(_scaled(old, *_replay(old, rng)), len(old.joints), len(old.muscles))
+    weights = _train(
+        start, _scaled(start, theta, f, length), (replay, METHODS[method]), recipe, seed, progress
+    )
+    return _with_residuals(replace(start, weights=weights), theta, f, length)
 
 
 def distil(
-    old: Schema, keep: tuple[str, ...], *, seed: int = 0, progress: Progress | None = None
+    old: Schema,
+    keep: tuple[str, ...],
+    *,
+    seed: int = 0,
+    recipe: Recipe = LESS,
+    progress: Progress | None = None,
 ) -> Schema:
-    """The schema of the muscles in `keep` alone, from h_old's own mask-110 replay."""
-    raise NotImplementedError
+    """The schema of the muscles in `keep` alone, distilled from h_old's mask-110 replay.
 
-
-def refit(
-    schema: Schema, motions: Sequence[Motion], returning: Sequence[str], limit_mm: float
-) -> Schema:
-    """The schema with the length offsets of muscles that came back estimated anew.
-
-    The motions' columns are schema.joints and schema.muscles.
+    The teacher sees the muscles that go at tensions they used to have; the student never does.
 
     Raises:
-        TrainingError: a residual stays above `limit_mm`: the muscle is not where it was.
+        SchemaError: a muscle to keep is unknown, or none is.
     """
-    raise NotImplementedError
+    start = old
+    for muscle in old.muscles:
+        if muscle not in keep:
+            start = shrink(start, muscle)
+    kept = [old.muscles.index(muscle) for muscle in start.muscles]
+    theta, f, length = _replay(old, np.random.default_rng(seed))
+    data = _scaled(start, theta, f[:, kept], length[:, kept])
+    weights = _train(start, data, None, recipe, seed, progress)
+    return replace(start, weights=weights)
+
+
+# ── data ──────────────────────────────────────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """Scaled samples and their three masked inputs."""
+
+    inputs: torch.Tensor  # (3, T, N + 2 M + 3)
+    targets: torch.Tensor  # (T, N + 2 M)
+    keep: torch.Tensor  # (N + 2 M,): r, 0 where the target is not known
+
+
+def _scaled(schema: Schema, theta: Array, f: Array, length: Array) -> _Data:
+    groups = (
+        theta / schema.theta_scale_rad,
+        f / schema.tension_scale_n,
+        (length - schema.length_reference_m) / schema.length_scale_m,
+    )
+    targets = np.hstack(groups)
+    widths = [group.shape[1] for group in groups]
+    inputs = [
+        np.hstack((targets * np.repeat(mask, widths), np.tile(mask, (len(f), 1)))) for mask in MASKS
+    ]
+    return _Data(
+        torch.tensor(np.stack(inputs), dtype=torch.float32),
+        torch.tensor(targets, dtype=torch.float32),
+        torch.ones(targets.shape[1]),
+    )
+
+
+def _with_zeros(data: _Data, n: int, m: int) -> _Data:
+    """The same samples for a body of one muscle more, which reads zero and is not scored."""
+    at = [n + m, n + 2 * m]
+
+    def insert(a: torch.Tensor) -> torch.Tensor:
+        return torch.tensor(np.insert(a.numpy(), at, 0.0, axis=-1))
+
+    return _Data(insert(data.inputs), insert(data.targets), insert(data.keep))
+
+
+def _replay(schema: Schema, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Random theta (T, N) [rad] and f (T, M) [N] where h_old was learned, and its l (T, M) [m]."""
+    theta = rng.uniform(*schema.theta_range_rad.T, (REPLAYED, len(schema.joints)))
+    f = rng.uniform(*schema.tension_range_n.T, (REPLAYED, len(schema.muscles)))
+    return theta, f, schema.lengths(theta, f)
+
+
+def _range(samples: Array) -> Array:
+    return np.stack((samples.min(axis=0), samples.max(axis=0)), axis=1)
+
+
+def _with_residuals(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
+    """The schema with its usual residuals (root mean square) on these samples."""
+    length_error = schema.lengths(theta, f) - length
+    angle_error = schema.estimate(f, length) - theta
+    return replace(
+        schema,
+        length_sigma_m=np.sqrt((length_error**2).mean(axis=0)),
+        angle_sigma_rad=np.sqrt((angle_error**2).mean(axis=0)),
+    )
+
+
+# ── descent ───────────────────────────────────────────────────────────────────────────────────
+
+
+def _train(
+    start: Schema,
+    new: _Data,
+    old: tuple[_Data, Callable[[float], float]] | None,
+    recipe: Recipe,
+    seed: int,
+    progress: Progress | None,
+) -> Weights:
+    """Weights that make L_new + w L_old small, from `start`'s."""
+    torch.set_num_threads(1)  # the matrices are small, threads only cost; and it is reproducible
+    random = torch.Generator().manual_seed(seed)
+    layers = [
+        tuple(torch.tensor(a, dtype=torch.float32, requires_grad=True) for a in layer)
+        for layer in start.weights
+    ]
+    parameters = [parameter for layer in layers for parameter in layer]
+    c = columns(len(start.joints), len(start.muscles))
+    groups = (c.theta, c.tension, c.length)
+    optimiser = torch.optim.Adam(parameters, lr=recipe.rate, fused=True)
+
+    count = len(new.targets)
+    per_epoch = math.ceil(count / recipe.batch)
+    epochs = math.ceil(recipe.steps / per_epoch)
+    steps = epochs * per_epoch
+    for epoch in range(epochs):
+        w = old[1](epoch / epochs) if old else 0.0
+        sums = [0.0, 0.0]
+        order = torch.randperm(count, generator=random)
+        for i, picks in enumerate(order.split(recipe.batch)):
+            optimiser.param_groups[0]["lr"] = _rate(recipe, (epoch * per_epoch + i) / steps)
+            x, y, keep = new.inputs[:, picks], new.targets[picks], new.keep
+            if old and w:
+                replay = old[0]
+                more = torch.randint(len(replay.targets), (len(picks),), generator=random)
+                x = torch.cat((x, replay.inputs[:, more]), dim=1)
+                y = torch.cat((y, replay.targets[more]))
+            out = forward(layers, x.flatten(0, 1), torch.tanh).view(3, len(y), -1)
+            error = out - y
+            loss_new = _norms(error[:, : len(picks)] * keep, groups)
+            loss_old = _norms(error[:, len(picks) :] * replay.keep, groups) if old and w else None
+            loss = loss_new if loss_old is None else loss_new + w * loss_old
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            sums[0] += loss_new.item()
+            sums[1] += loss_old.item() if loss_old is not None else 0.0
+        if progress:
+            loss_n, loss_o = sums[0] / per_epoch, sums[1] / per_epoch
+            progress(epoch + 1, epochs, loss_n + w * loss_o, loss_n, loss_o)
+    return tuple(
+        (w.detach().numpy().astype(np.float64), b.detach().numpy().astype(np.float64))
+        for w, b in layers
+    )
+
+
+def _norms(error: torch.Tensor, groups: tuple[slice, ...]) -> torch.Tensor:
+    """error (3, B, N + 2 M) -> the sum of its groups' norms over masks, mean over the batch."""
+    norms = [torch.linalg.vector_norm(error[..., group], dim=-1) for group in groups]
+    return torch.stack(norms).sum(dim=(0, 1)).mean()
+
+
+def _rate(recipe: Recipe, done: float) -> float:
+    return recipe.rate * min(1.0, 20 * done + 1e-3) * (0.5 + 0.5 * math.cos(math.pi * done))

@@ -1,0 +1,102 @@
+"""Motions as arrays: what may be learned from, and how far a schema is off on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from runtime.messages import Motion
+from services.body_schema.network import Array
+from services.body_schema.schema import Schema
+
+SLACK_N = 3.6  # 3 N + 3 sigma of the load cell: below, a wire may hang and its length says nothing
+FEWEST = 10
+
+
+class TrainingError(ValueError):
+    """Data that nothing can be learned from; the text says in one sentence why."""
+
+
+def taut_samples(
+    motions: Sequence[Motion], joints: int, muscles: int
+) -> tuple[Array, Array, Array]:
+    """theta (T, N) [rad], f (T, M) [N], l (T, M) [m]: all samples in which every wire is taut.
+
+    Raises:
+        TrainingError: shapes that do not fit, a number that is not finite, fewer than ten samples.
+    """
+    theta = _stacked([motion.angle_rad for motion in motions], joints)
+    f = _stacked([motion.tension_n for motion in motions], muscles)
+    length = _stacked([motion.length_m for motion in motions], muscles)
+    if not len(theta) == len(f) == len(length):
+        raise TrainingError("the motions' angles, tensions and lengths are not equally many")
+    taut = (f >= SLACK_N).all(axis=1)
+    if taut.sum() < FEWEST:
+        raise TrainingError(
+            f"of {len(f)} samples only {taut.sum()} have every wire taut, {FEWEST} are needed"
+        )
+    return theta[taut], f[taut], length[taut]
+
+
+def residuals_m(schema: Schema, motions: Sequence[Motion]) -> Array:
+    """Root mean square of l - mask 110 for each muscle (M,) [m], in taut samples.
+
+    The motions' columns are schema.joints and schema.muscles.
+
+    Raises:
+        TrainingError: see `taut_samples`.
+    """
+    theta, f, length = taut_samples(motions, len(schema.joints), len(schema.muscles))
+    return np.sqrt(((length - schema.lengths(theta, f)) ** 2).mean(axis=0))
+
+
+def refit(
+    schema: Schema, motions: Sequence[Motion], returning: Sequence[str], limit_m: float
+) -> Schema:
+    """The schema with the length offsets of muscles that came back estimated anew.
+
+    A module that was off has lost its length zero; all else of its schema may still hold. Its
+    offset is the mean residual of mask 110. Columns as in `residuals_m`.
+
+    Raises:
+        TrainingError: what remains exceeds `limit_m`: the muscle is not where it was.
+    """
+    theta, f, length = taut_samples(motions, len(schema.joints), len(schema.muscles))
+    offset = (length - schema.lengths(theta, f)).mean(axis=0)
+    offset *= [muscle in returning for muscle in schema.muscles]
+    moved = replace(schema, length_reference_m=schema.length_reference_m + offset)
+    left = residuals_m(moved, motions)
+    for muscle, residual in zip(schema.muscles, left, strict=True):
+        if residual > limit_m:
+            raise TrainingError(
+                f"{muscle} is off by {residual * 1e3:.1f} mm, {limit_m * 1e3:.1f} mm are allowed: "
+                "it is not where it was"
+            )
+    return replace(moved, length_sigma_m=left)
+
+
+def reordered(motion: Motion, given: Sequence[str], wanted: Sequence[str]) -> Motion:
+    """The motion with its muscles' columns in another order, or some of them left out."""
+    order = [given.index(muscle) for muscle in wanted]
+
+    def pick(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+        return tuple(tuple(row[i] for i in order) for row in rows)
+
+    return Motion(
+        angle_rad=motion.angle_rad,
+        tension_n=pick(motion.tension_n),
+        length_m=pick(motion.length_m),
+        settled=motion.settled,
+    )
+
+
+def _stacked(blocks: Sequence[tuple[tuple[float, ...], ...]], width: int) -> Array:
+    rows = [row for block in blocks for row in block]
+    if any(len(row) != width for row in rows):
+        raise TrainingError(f"a sample of the motions does not have {width} values")
+    array = np.array(rows, dtype=float).reshape(len(rows), width)
+    if not np.isfinite(array).all():
+        raise TrainingError("a sample of the motions is not a number")
+    return array
