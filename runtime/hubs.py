@@ -1,13 +1,17 @@
 """Where things of a robot lie on this host: its folders, and the registry of running hubs.
 
 A running group writes one file, `hubs/<robot>.json`, by which tools and other robots' groups find
-it. A file whose process is gone counts for nothing. `MYOGRAFT_ENDPOINT` overrides the registry.
+it. Its process holds a lock on it, so the file of a dead one counts for nothing.
+`MYOGRAFT_ENDPOINT` overrides the registry.
 """
 
 from __future__ import annotations
 
+import fcntl
 import os
+import time
 from pathlib import Path
+from typing import BinaryIO
 
 import msgspec
 
@@ -44,47 +48,39 @@ def living_hubs() -> list[Hub]:
     found = []
     for path in sorted(_folder().glob("*.json")):
         try:
-            hub = msgspec.json.decode(path.read_bytes(), type=Hub)
+            if _is_held(path):
+                found.append(msgspec.json.decode(path.read_bytes(), type=Hub))
         except (OSError, msgspec.MsgspecError):
             continue
-        if _lives(hub.pid):
-            found.append(hub)
     return found
 
 
-def claim(hub: Hub) -> None:
-    """Register a group.
+class Claim:
+    """A registered group: its file, locked for as long as its process lives.
 
     Raises:
         HubError: a group of that name lives.
     """
-    folder = _folder()
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{hub.robot}.json"
-    fresh = folder / f".{hub.robot}.{hub.pid}"
-    fresh.write_bytes(msgspec.json.encode(hub))
-    try:
-        for _ in range(3):
-            try:
-                os.link(fresh, path)  # fails if the name is taken: two starters cannot both win
-                return
-            except FileExistsError:
-                _refuse_if_living(hub.robot)
-                path.unlink(missing_ok=True)
-        raise HubError(f"cannot register {hub.robot!r} in {folder}")
-    finally:
-        fresh.unlink()
 
+    def __init__(self, hub: Hub) -> None:
+        _folder().mkdir(parents=True, exist_ok=True)
+        self._path = _folder() / f"{hub.robot}.json"
+        self._file = _lock(self._path)
+        if self._file is None:
+            raise HubError(
+                f"{hub.robot!r} is running already. Give this one another name with --name, "
+                f"or stop that one: myograft down --robot {hub.robot}"
+            )
+        self._file.truncate()
+        self._file.write(msgspec.json.encode(hub))
+        self._file.flush()
 
-def release(hub: Hub) -> None:
-    """Take a group off the registry, if it is still its own."""
-    path = _folder() / f"{hub.robot}.json"
-    try:
-        mine = msgspec.json.decode(path.read_bytes(), type=Hub).pid == hub.pid
-    except (OSError, msgspec.MsgspecError):
-        return
-    if mine:
-        path.unlink(missing_ok=True)
+    def release(self) -> None:
+        """Take the group off the registry."""
+        if self._file is not None:
+            self._path.unlink(missing_ok=True)
+            self._file.close()
+            self._file = None
 
 
 def find_hub(robot: str = "") -> Hub:
@@ -112,25 +108,32 @@ def find_hub(robot: str = "") -> Hub:
     return named[0]
 
 
-def _refuse_if_living(robot: str) -> None:
-    for hub in living_hubs():
-        if hub.robot == robot:
-            raise HubError(
-                f"{robot!r} is running already (pid {hub.pid}). "
-                f"Give this one another name with --name, or stop that one: "
-                f"myograft down --robot {robot}"
-            )
+def _lock(path: Path) -> BinaryIO | None:
+    """The file, locked; None when a living process holds it."""
+    for _ in range(20):
+        file = path.open("ab+")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            time.sleep(0.01)  # it may be somebody who only looks whether the file is locked
+            continue
+        # Its holder may have removed the file between the opening and the locking.
+        if path.exists() and path.stat().st_ino == os.fstat(file.fileno()).st_ino:
+            file.seek(0)
+            return file
+        file.close()
+    return None
+
+
+def _is_held(path: Path) -> bool:
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
 
 
 def _folder() -> Path:
     return state_home() / "hubs"
-
-
-def _lives(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True

@@ -11,18 +11,19 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib.metadata
 import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from runtime.bus import Bus
 from runtime.logic import Logic, Store
 from runtime.loop import drive
+from runtime.manifest import simulated
 from runtime.member import Member
 from runtime.settings import RobotSettings, load_robot
 from runtime.store import FileStore
@@ -58,7 +59,7 @@ class Launch:
     @property
     def simulated(self) -> bool:
         """Some chain is simulated: then the world owns robot time."""
-        return any(chain.link.startswith("sim:") for chain in self.settings.chain)
+        return simulated(self.settings)
 
     @contextlib.contextmanager
     def open_bus(self) -> Iterator[Member]:
@@ -89,16 +90,22 @@ class Launch:
             drive(logic, member)
 
 
-def entry_of(process: str) -> Callable[[Launch], None]:
+def entry_of(process: str, entry: str = "") -> Callable[[Launch], None]:
     """`driver-arm` -> the `main` that the entry point `driver` names.
+
+    Args:
+        process: its name.
+        entry: `module:function`, to take that instead.
 
     Raises:
         LookupError: no entry point has that name.
     """
     kind = process.partition("-")[0]
-    found = importlib.metadata.entry_points(group=ENTRY_POINTS, name=kind)
-    for entry in found:
-        main: Callable[[Launch], None] = entry.load()
+    found: Iterable[EntryPoint] = entry_points(group=ENTRY_POINTS, name=kind)
+    if entry:
+        found = [EntryPoint(kind, entry, ENTRY_POINTS)]
+    for entry_point in found:
+        main: Callable[[Launch], None] = entry_point.load()
         return main
     raise LookupError(f"no process is called {kind!r} in the entry points {ENTRY_POINTS}")
 
@@ -109,6 +116,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("process", help="estimator, driver-<chain>, ...")
     parser.add_argument("--robot", required=True, help="the robot file")
     parser.add_argument("--name", default="", help="another name than the file's")
+    parser.add_argument("--entry", default="", help="module:function instead of the entry point")
     parser.add_argument("--speed", type=float, default=1.0)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--run-dir", type=Path, required=True)
@@ -132,7 +140,7 @@ def main(argv: list[str] | None = None) -> None:
         parent=args.parent,
     )
     log.info("%s of %s, pid %d", launch.process, launch.settings.name, os.getpid())
-    entry_of(args.process)(launch)
+    entry_of(args.process, args.entry)(launch)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,44 @@
+"""Which processes a robot has: read off its robot file, in the order in which they start."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+
+from runtime.backoff import Restart
+from runtime.settings import RobotSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Spec:
+    """One process of a group."""
+
+    process: str  # also the entry point's name, up to a `-`
+    restart: Restart = Restart.ALWAYS
+    nice: int = 0
+    entry: str = ""  # `module:function`, where it is not the entry point of that name
+
+
+def simulated(settings: RobotSettings) -> bool:
+    """Some chain of the robot is simulated: then there is a world, and it owns robot time."""
+    return any(chain.link.startswith("sim:") for chain in settings.chain)
+
+
+def processes_of(settings: RobotSettings) -> tuple[Spec, ...]:
+    """The world first, then the drivers, then who listens to them."""
+    world = (Spec("world"),) if simulated(settings) else ()
+    drivers = tuple(Spec(f"driver-{chain.name}") for chain in settings.chain)
+    return (
+        *world,
+        *drivers,
+        Spec("estimator"),
+        Spec("executive"),
+        Spec("retrainer", nice=10),  # learning never takes the processor from control
+        Spec("recorder", Restart.ON_FAILURE),
+        *((Spec("viz", Restart.ON_FAILURE, nice=5),) if can_view() else ()),
+    )
+
+
+def can_view() -> bool:
+    """Rerun is installed (the extra `view`)."""
+    return importlib.util.find_spec("rerun") is not None

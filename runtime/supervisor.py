@@ -1,0 +1,318 @@
+"""Starts a robot's processes, watches them, restarts them, and stops them safely.
+
+The supervisor is the hub of its robot's network: it listens on a free loopback port, stands in the
+registry (hubs.py) and connects to the other robots' hubs it finds there.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import socket
+import threading
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+from runtime.backoff import BackoffPolicy
+from runtime.bus import Bus
+from runtime.child import Child
+from runtime.hubs import Claim, Hub, living_hubs, robot_home
+from runtime.manifest import Spec, processes_of, simulated
+from runtime.member import EXECUTIVE, Member
+from runtime.messages import (
+    Estop,
+    Event,
+    ExecutiveState,
+    GroupState,
+    Message,
+    Presence,
+    ProcessRow,
+    Reply,
+    Task,
+)
+from runtime.parking import Parking
+from runtime.settings import RobotSettings
+
+GROUP_STATE_S = 1.0
+PARK_PATIENCE_S = 10.0
+TERM_PATIENCE_S = 3.0
+
+
+class Group:
+    """One robot's processes under one supervisor. Use as a context manager, or `start` and `stop`.
+
+    Args:
+        settings: the robot.
+        speed: robot seconds asked for per wall second.
+        seed: of everything random.
+        only: start these of the robot's processes only.
+        run_dir: of this run; by default a new one under the robot's state folder.
+        processes: other processes than the robot's own: for tests.
+        policy: of restarts.
+        say: takes lines meant for a person.
+
+    Raises:
+        HubError: on start, when a robot of that name is running.
+    """
+
+    def __init__(
+        self,
+        settings: RobotSettings,
+        *,
+        speed: float = 1.0,
+        seed: int = 0,
+        only: tuple[str, ...] = (),
+        run_dir: Path | None = None,
+        processes: tuple[Spec, ...] | None = None,
+        policy: BackoffPolicy | None = None,
+        say: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        self.settings = settings
+        self.endpoint = ""
+        self.run_dir = run_dir or _new_run_dir(settings.name)
+        self._home = robot_home(settings.name)
+        self._arguments = ["--speed", str(speed), "--seed", str(seed)]
+        self._specs = _chosen(processes_of(settings) if processes is None else processes, only)
+        self._policy = policy
+        self._say = say
+        self._exits: queue.SimpleQueue[tuple[Child, int]] = queue.SimpleQueue()
+        self._children: dict[str, Child] = {}
+        self._changed = threading.Condition()
+        self._ending = False
+        self._hurry = threading.Event()
+        self._parking: Parking | None = None
+        self._state_due_s = 0.0
+
+    def __enter__(self) -> Group:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop(park=False)
+
+    # ── for the owner ──────────────────────────────────────────────────────────────────────────
+
+    def start(self) -> None:
+        """Open the hub and start every process; returns at once."""
+        also = tuple(hub.endpoint for hub in living_hubs())
+        self.endpoint = _free_endpoint()
+        hub = Hub(
+            robot=self.settings.name,
+            pid=os.getpid(),
+            endpoint=self.endpoint,
+            run_dir=str(self.run_dir),
+            started=datetime.now(UTC).isoformat(timespec="seconds"),
+        )
+        self._claim = Claim(hub)
+        logs = self.run_dir / "logs"
+        logs.mkdir(parents=True, exist_ok=True)
+        self._bus = Bus(self.settings.name, "supervisor", listen=self.endpoint, also=also)
+        self._bus.__enter__()
+        self._member = Member(self._bus, follow_world=simulated(self.settings))
+        self._member.subscribe(Presence, ExecutiveState)
+        self._member.ready()
+        for spec in self._specs:
+            self._children[spec.process] = Child(
+                spec,
+                self._child_arguments(),
+                logs / f"{spec.process}.log",
+                self._on_exit,
+                self._policy,
+            )
+        self._say(f"{self.settings.name}: {len(self._specs)} processes, logs in {logs}")
+        for child in self._children.values():
+            child.start()
+        self._thread = threading.Thread(target=self._watch, name="supervisor", daemon=True)
+        self._thread.start()
+
+    def wait_ready(self, timeout_s: float = 30.0) -> bool:
+        """Wait until every process is ready; False when one failed or time is up."""
+
+        def settled() -> bool:
+            return self.ready or any(row.state == "failed" for row in self.rows)
+
+        with self._changed:
+            self._changed.wait_for(settled, timeout_s)
+        return self.ready
+
+    def wait_for(self, condition: Callable[[Group], bool], timeout_s: float) -> bool:
+        """Wait until `condition(group)` holds; looked at whenever a process changes."""
+        with self._changed:
+            return self._changed.wait_for(lambda: condition(self), timeout_s)
+
+    @property
+    def ready(self) -> bool:
+        """Every process is ready."""
+        return all(child.state == "ready" for child in self._children.values())
+
+    @property
+    def rows(self) -> tuple[ProcessRow, ...]:
+        """The table of processes."""
+        return tuple(child.row for child in self._children.values())
+
+    def request(self, message: Message, timeout_s: float | None = None) -> list[Reply]:
+        """Ask the robot something."""
+        return self._bus.request(message, timeout_s)
+
+    def hurry(self) -> None:
+        """End a running `stop` at once: estop instead of parking. Safe in a signal handler."""
+        self._hurry.set()
+
+    def stop(self, *, park: bool = True) -> None:
+        """Park the arm, then end the processes in reverse order, the world last."""
+        if park:
+            self._park()
+        if self._hurry.is_set():
+            self._say(f"{self.settings.name}: stopping the arm")
+            self._bus.request(Estop(reason="interrupted twice"), timeout_s=2.0)
+        self._ending = True
+        patience_s = 0.5 if self._hurry.is_set() else TERM_PATIENCE_S
+        for child in reversed(self._children.values()):
+            child.terminate(patience_s)
+        self._member.stop()
+        self._thread.join()
+        self._bus.__exit__(None, None, None)
+        self._claim.release()
+        self._say(f"{self.settings.name}: stopped")
+
+    # ── the watching thread ────────────────────────────────────────────────────────────────────
+
+    def _watch(self) -> None:
+        while not (self._member.stopping and self._exits.empty()):
+            changed = False
+            for item in self._member.wait(self._wait_s()):
+                if isinstance(item, Presence):
+                    changed = self._came_or_went(item) or changed
+                elif isinstance(item, ExecutiveState) and self._parking is not None:
+                    self._parking.see(item, time.monotonic())
+            while not self._exits.empty():
+                self._bury(*self._exits.get())
+                changed = True
+            if not self._ending:
+                restarted = [child.restart_if_due() for child in self._children.values()]
+                changed = changed or any(restarted)
+            self._tell(changed)
+        self._tell(True)
+
+    def _wait_s(self) -> float:
+        now_s = time.monotonic()
+        due = [self._state_due_s]
+        due += [c.restart_at_s for c in self._children.values() if c.restart_at_s is not None]
+        return min(max(0.0, min(due) - now_s), 0.2)
+
+    def _came_or_went(self, presence: Presence) -> bool:
+        child = self._children.get(presence.process)
+        if child is None or not presence.alive or child.state != "starting":
+            return False
+        child.state = "ready"
+        self._say(f"{self.settings.name}: {presence.process} ready")
+        if child.restarts:
+            self._tell_event("process_restarted", "info", child, f"{presence.process} is back")
+        return True
+
+    def _bury(self, child: Child, code: int) -> None:
+        child.died(code, ending=self._ending)
+        if self._ending:
+            return
+        what = {"backoff": "restarting", "failed": "given up"}.get(child.state, child.state)
+        text = f"{child.spec.process} died ({child.last_exit}), {what}: see {child.log_file}"
+        self._say(f"{self.settings.name}: {text}")
+        level = "info" if child.state == "stopped" else "error"
+        self._tell_event("process_died", level, child, text)
+        if child.state == "failed":
+            self._tell_event("process_failed", "error", child, f"{child.spec.process} is given up")
+
+    def _tell_event(self, kind: str, level: str, child: Child, text: str) -> None:
+        self._member.publish(
+            Event(
+                stamp_ns=self._member.now_ns() or 0,
+                process="supervisor",
+                level=level,
+                kind=kind,
+                text=text,
+                data={
+                    "process": child.spec.process,
+                    "exit": child.last_exit,
+                    "restarts": str(child.restarts),
+                },
+            )
+        )
+
+    def _tell(self, changed: bool) -> None:
+        now_s = time.monotonic()
+        now_ns = self._member.now_ns() or 0
+        if changed or now_s >= self._state_due_s:
+            self._state_due_s = now_s + GROUP_STATE_S
+            self._member.publish(
+                GroupState(
+                    stamp_ns=now_ns,
+                    ready=self.ready,
+                    run_dir=str(self.run_dir),
+                    processes=self.rows,
+                )
+            )
+        self._member.beat(now_ns)
+        if changed:
+            with self._changed:
+                self._changed.notify_all()
+
+    # ── inside ─────────────────────────────────────────────────────────────────────────────────
+
+    def _park(self) -> None:
+        executive = self._children.get(EXECUTIVE)
+        if executive is None or executive.state != "ready" or self._hurry.is_set():
+            return
+        self._say(f"{self.settings.name}: parking (Ctrl-C again stops at once)")
+        parking = Parking(time.monotonic(), PARK_PATIENCE_S)
+        self._parking = parking
+        replies = self._bus.request(Task(name="park"), timeout_s=2.0)
+        if not any(reply.ok for reply in replies):
+            refusal = replies[0].text if replies else "nobody answered"
+            self._say(f"{self.settings.name}: not parked: {refusal}")
+            return
+        while not (parking.over(time.monotonic()) or executive.state != "ready"):
+            if self._hurry.wait(0.05):
+                return
+
+    def _on_exit(self, child: Child, code: int) -> None:
+        self._exits.put((child, code))
+        self._bus.wake()
+
+    def _child_arguments(self) -> list[str]:
+        return [
+            *("--robot", self.settings.file),
+            *("--name", self.settings.name),
+            *("--run-dir", str(self.run_dir)),
+            *("--state-dir", str(self._home / "state")),
+            *("--endpoint", self.endpoint),
+            *("--parent", str(os.getpid())),
+            *self._arguments,
+        ]
+
+
+def _chosen(specs: tuple[Spec, ...], only: tuple[str, ...]) -> tuple[Spec, ...]:
+    names = [spec.process for spec in specs]
+    unknown = [name for name in only if name not in names]
+    if unknown:
+        raise ValueError(f"no process {unknown[0]!r}: this robot has {', '.join(names)}")
+    return tuple(spec for spec in specs if not only or spec.process in only)
+
+
+def _new_run_dir(robot: str) -> Path:
+    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
+    runs = robot_home(robot) / "runs"
+    folder = runs / stamp
+    folder.mkdir(parents=True)
+    fresh = runs / f".latest.{os.getpid()}"
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(stamp)
+    fresh.replace(runs / "latest")
+    return folder
+
+
+def _free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
