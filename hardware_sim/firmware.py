@@ -16,8 +16,9 @@ from runtime.wire.packet import StatusError
 from runtime.wire.registers import (
     BAUD_RATES,
     BY_NAME,
+    GOAL_BLOCK,
     GOALS,
-    PRESENTS,
+    PRESENT_BLOCK,
     TABLE,
     Keep,
     Kind,
@@ -27,12 +28,7 @@ from runtime.wire.registers import (
 
 __all__ = ["JointModule", "Mode", "Module", "MuscleBank", "MuscleModule"]
 
-_PRESENTS = struct.Struct("<ihhB")  # read and written all the time: these blocks have a short way
-_PRESENTS_ADDRESS = PRESENTS[0].address
-_GOALS = struct.Struct("<HHi")
-_GOALS_ADDRESS = GOALS[0].address
-_BIAS_HIGH, _STIFFNESS_HIGH = GOALS[0].high, GOALS[1].high
-_GOAL_NAMES = frozenset(register.name for register in GOALS)
+_GOAL_HIGH = {register.name: register.high * register.scale for register in GOALS}
 _AMBIENT_DEGC = 25
 _MAX_SPAN = 1024  # bytes that one read or write may touch
 
@@ -144,7 +140,7 @@ class Module:
             raw = int.from_bytes(data[at : at + r.size], "little", signed=r.signed)
             if not r.low <= raw <= r.high:
                 return StatusError.DATA_LIMIT
-            if self._locked and r.name in _GOAL_NAMES:
+            if self._locked and r.name in _GOAL_HIGH:
                 return StatusError.DATA_RANGE
             if values is not None:
                 values.append((r.name, raw))
@@ -241,32 +237,33 @@ class MuscleModule(Module):
 
     def read(self, address: int, length: int) -> bytes:
         """As `Module.read`."""
-        if address != _PRESENTS_ADDRESS or length != _PRESENTS.size:
+        if address != PRESENT_BLOCK.address or length != PRESENT_BLOCK.length:
             return super().read(address, length)
-        bank, i = self.bank, self.index
+        bank, i = self.bank, self.index  # read all the time: a short way
         try:
-            return _PRESENTS.pack(
-                round(bank.length_m.item(i) * 1e6),
-                round(bank.tension_n.item(i) * 1e2),
-                round(bank.temperature_degc.item(i) * 1e1),
-                self._status(),
+            return PRESENT_BLOCK.encode(
+                {
+                    "present_length": bank.length_m.item(i),
+                    "present_tension": bank.tension_n.item(i),
+                    "motor_temperature": bank.temperature_degc.item(i),
+                    "status": self._status(),
+                }
             )
-        except struct.error:  # out of scale: the slow way clips
+        except struct.error:  # off the scale: the long way clips
             return super().read(address, length)
 
     def write(self, address: int, data: bytes) -> int:
         """As `Module.write`."""
-        if address != _GOALS_ADDRESS or len(data) != _GOALS.size:
+        if address != GOAL_BLOCK.address or len(data) != GOAL_BLOCK.length:
             return super().write(address, data)
-        bias, stiffness, target = _GOALS.unpack(data)
-        if bias > _BIAS_HIGH or stiffness > _STIFFNESS_HIGH:
+        goals = GOAL_BLOCK.decode(data)  # written all the time: a short way
+        if any(value > _GOAL_HIGH[name] for name, value in goals.items()):
             return StatusError.DATA_LIMIT
         if self._locked:
             return StatusError.DATA_RANGE
-        bank, i = self.bank, self.index
-        bank.bias_n[i] = bias * GOALS[0].scale
-        bank.stiffness_n_m[i] = stiffness * GOALS[1].scale
-        bank.set_target(i, target * GOALS[2].scale)
+        for name, row in _GOAL_ROWS.items():
+            getattr(self.bank, row)[self.index] = goals[name]
+        self.bank.set_target(self.index, goals["target_length"])
         return StatusError.NONE
 
     def reboot(self) -> None:

@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 
 GAIN_M_S_N = 0.002  # x 40 kN/m x 1 ms = 0.08: far from the 1 at which the loop would ring
 GUARD_GAIN_M_S_N = 0.01  # 15 N above the guard pays out 0.15 m/s; x 40 kN/m x 1 ms = 0.4
-GUARD = 0.9  # of the tension limit: no reference above it, and the guard pays out from there
+LOOK_AHEAD_S = 0.002  # the guard looks at the tension that comes, as the motor lags behind
+GUARD = 0.88  # of the tension limit: no reference above it, and the guard pays out from there
 # A slack side is paid out at up to GAIN x 50 N = 0.1 m/s: with f_ref >= 0 it would lag behind the
 # joint, as there is no tension left for the loop to see.
 SLACK_REFERENCE_N = -50.0
@@ -172,6 +173,7 @@ class MuscleBank:
         """
         self.now_ns = now_ns
         tension, length = self.tension_n, self.length_m
+        self._before_n[:] = tension
         reference, speed = self._reference_n, self._v
         np.subtract(tension_n, self.tension_tare_n, out=tension)
         np.subtract(length_m, self.length_zero_m, out=length)
@@ -189,7 +191,10 @@ class MuscleBank:
         speed += self._pay_out_m_s
 
         guard = self._guard
-        np.subtract(tension, self._guard_n, out=guard)
+        np.subtract(tension, self._before_n, out=guard)
+        guard *= LOOK_AHEAD_S / dt_s
+        guard += tension
+        guard -= self._guard_n
         guard *= GUARD_GAIN_M_S_N
         np.maximum(speed, guard, out=speed)  # in every mode: a brake slips, too
         np.minimum(speed, self.winding_speed_limit_m_s, out=speed)
@@ -258,7 +263,7 @@ class MuscleBank:
         for row, name in enumerate(_ROWS):
             setattr(self, name, table[row])
         count = table.shape[1]
-        self._reference_n, self._v, self._guard = np.zeros((3, count))
+        self._reference_n, self._v, self._guard, self._before_n = np.zeros((4, count))
         self._gain, self._pay_out_m_s = np.zeros((2, count))
         self._limits_changed()
         for index in range(count):
