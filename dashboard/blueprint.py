@@ -1,5 +1,8 @@
-"""The layout made for this work: the body on the left, what its wires do on the right, and below
-who is in which state and what happened. Plots show the last seconds and follow."""
+"""The layout made for this work.
+
+The body on the left, what its wires do on the right, and below who is in which state and what
+happened. Plots show the last seconds and follow; ids of views stay the same over restarts.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ def layout(joints: Sequence[str], low_m: Floats, high_m: Floats) -> rrb.Blueprin
                     _named("body", _body(low_m, high_m)),
                     _named(
                         "now",
-                        rrb.TextDocumentView(origin="/status", name="Now", contents="/status"),
+                        rrb.TextDocumentView(origin="/status", name="Now"),
                     ),
                     row_shares=[3.4, 1],
                 ),

@@ -1,4 +1,4 @@
-"""The dashboard's colours: one for each slot, each state and each tension, the same in every view."""
+"""The dashboard's colours: one for each slot, state and tension, in all views."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dashboard.canvas import Canvas, Floats
+from dashboard.canvas import Canvas
 from dashboard.palette import CONFIDENCE, ESTIMATED, LIMIT, MEASURED, REFERENCE, Rgb
 from dashboard.tracks import Slots, Track
 from runtime import messages as m
@@ -131,8 +131,10 @@ class Plots:
         tension, error = self.muscles.empty(), self.muscles.empty()
         for chain in chains:
             self.muscles.fill(tension, chain.muscles, chain.tension_n)
-            errors = (t - l for t, l in zip(chain.target_length_m, chain.length_m, strict=False))
-            self.muscles.fill(error, chain.muscles, errors, 1e3)
+            pairs = zip(chain.target_length_m, chain.length_m, strict=False)
+            self.muscles.fill(
+                error, chain.muscles, (target - length for target, length in pairs), 1e3
+            )
         self._tracks["/tension"].add(stamp_ns, tension)
         self._tracks["/length_error"].add(stamp_ns, error)
         near = np.nanmax(tension, initial=0.0) > LIMIT_FROM * self._tension_limit_n

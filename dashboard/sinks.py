@@ -1,8 +1,7 @@
-"""The canvas that Rerun is: every verb of `Canvas` as Rerun archetypes, into a file and a server."""
+"""The canvas that Rerun is: every verb as an archetype, into a file and a server."""
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
@@ -14,21 +13,10 @@ import rerun.blueprint as rrb
 from dashboard.blueprint import TIMELINE
 from dashboard.canvas import Floats, Shape, Wire
 from dashboard.palette import Rgb
+from dashboard.viewer import LOOPBACK
 
 SERVER_MEMORY = "256MiB"
 MODULE_RADIUS_M = 0.008
-_LOOPBACK = "127.0.0.1"
-
-
-def free_port() -> int:
-    """A TCP port on loopback that nobody listens on.
-
-    Rerun's server only logs an error when its port is taken, and drops everything it is given.
-    """
-    with socket.socket() as probe:
-        probe.bind((_LOOPBACK, 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def segment_file(run_dir: Path, robot: str) -> Path:
@@ -57,10 +45,10 @@ class RerunCanvas:
             rr.FileSink(str(file), write_footer=False)
         ]
         if port:
-            sinks.append(rr.GrpcServerSink(_LOOPBACK, port, server_memory_limit=SERVER_MEMORY))
+            sinks.append(rr.GrpcServerSink(LOOPBACK, port, server_memory_limit=SERVER_MEMORY))
         self._stream.set_sinks(*sinks, default_blueprint=blueprint)
         self._stream.send_recording_name(f"{robot} {run}")
-        self.url = f"rerun+http://{_LOOPBACK}:{port}/proxy" if port else ""
+        self.url = f"rerun+http://{LOOPBACK}:{port}/proxy" if port else ""
 
     def close(self) -> None:
         """Write out what waits, and end server and file."""
@@ -114,8 +102,8 @@ class RerunCanvas:
     def pose(self, time_s: float, link: str, position_m: Floats, quaternion_wxyz: Floats) -> None:
         """Where a link is."""
         self._stream.set_time(TIMELINE, duration=time_s)
-        xyzw = np.roll(quaternion_wxyz, -1)
-        self._stream.log(f"/robot/{link}", rr.Transform3D(translation=position_m, quaternion=xyzw))
+        turn = rr.Quaternion(xyzw=np.roll(quaternion_wxyz, -1))
+        self._stream.log(f"/robot/{link}", rr.Transform3D(translation=position_m, quaternion=turn))
 
     def wires(self, time_s: float, wires: Sequence[Wire]) -> None:
         """All wires as one entity, and the modules they come from as another."""
@@ -192,12 +180,14 @@ def _archetypes(kind: str, shapes: Sequence[Shape]) -> dict[str, rr.AsComponents
 def _turned(shape: Shape, vectors: Floats) -> Floats:
     """Vectors (..., 3) turned by the shape's quaternion."""
     w, *xyz = shape.quaternion_wxyz
-    axis = np.array(xyz)
-    turned: Floats = vectors + 2.0 * np.cross(axis, np.cross(axis, vectors) + w * vectors)
+    axis: Floats = np.array(xyz)
+    across: Floats = np.cross(axis, vectors)
+    turned: Floats = vectors + 2.0 * (w * across + np.cross(axis, across))
     return turned
 
 
 def _placed(shape: Shape) -> Floats:
     if shape.vertices_m is None:
         return np.zeros((0, 3))
-    return _turned(shape, shape.vertices_m) + np.array(shape.position_m)
+    placed: Floats = _turned(shape, shape.vertices_m) + np.array(shape.position_m)
+    return placed

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from dashboard.blueprint import layout
 from dashboard.body import Body
-from dashboard.sinks import RerunCanvas, free_port, segment_file
+from dashboard.sinks import RerunCanvas, segment_file
 from dashboard.stream import Stream
+from dashboard.viewer import free_port
 from runtime.process import Launch
 
 

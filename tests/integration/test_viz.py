@@ -1,0 +1,220 @@
+"""The viz process and what its picture looks like to Rerun's own viewer, run without a screen."""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dashboard.viewer import free_port, open_view, viewer_binary
+from runtime import messages as m
+from runtime.bus import Bus
+from tests.made_up_run import ADDED, PLUG_S, run
+
+pytest.importorskip("rerun", reason="needs the extra myograft[view]")
+
+pytestmark = pytest.mark.e2e
+
+VULKAN = bool(ctypes.util.find_library("vulkan")) and any(
+    Path(folder).glob("*.json") for folder in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")
+)
+NEEDS_VULKAN = pytest.mark.skipif(
+    not VULKAN,
+    reason="the viewer draws by Vulkan: apt-get install mesa-vulkan-drivers libvulkan1",
+)
+SPEED = 20.0
+
+
+def contents(file: Path) -> tuple[str, Counter[str], set[str]]:
+    """A recording's id, rows per entity, and all lane states and log lines."""
+    from rerun.chunk import RrdReader
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # no footer: it is meant to be readable after kill -9
+        reader = RrdReader(str(file))
+    rows: Counter[str] = Counter()
+    said: set[str] = set()
+    for chunk in reader.stream():
+        rows[chunk.entity_path] += chunk.num_rows
+        batch = chunk.to_record_batch()
+        for name in ("StateChange:state", "TextLog:text"):
+            if name in batch.schema.names:
+                said |= {str(x) for cell in batch.column(name).to_pylist() for x in cell or ()}
+    (recording,) = reader.recordings()
+    return recording.recording_id, rows, said
+
+
+def draw(file: Path, seconds: float) -> None:
+    """A made-up run, drawn into a file at once."""
+    from dashboard.blueprint import layout
+    from dashboard.body import Body
+    from dashboard.sinks import RerunCanvas
+    from dashboard.stream import Stream
+    from runtime.settings import load_robot
+
+    settings = load_robot("elbow")
+    body = Body(settings)
+    canvas = RerunCanvas("elbow", "made-up", layout(settings.joints, *body.bounds_m()), file)
+    stream = Stream(settings, canvas, body)
+    for now_ns, message in run(seconds):
+        stream.receive(message, now_ns)
+        list(stream.tick(now_ns))
+    canvas.close()
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file: Path = tmp_path_factory.mktemp("run") / "elbow.rrd"
+    draw(file, PLUG_S + 6.0)
+    return file
+
+
+def test_file_holds_the_whole_run(recording: Path) -> None:
+    run_id, rows, said = contents(recording)
+    assert run_id == "elbow-made-up"
+    assert rows["/tension"] > 90 * PLUG_S
+    assert rows["/wires"] > 12 * PLUG_S
+    assert rows["/robot/forearm"] == rows["/robot/upper_arm"] == rows["/wires"]
+    assert rows["/angle/elbow"] > 90 * PLUG_S
+    assert rows[f"/lane/module/{ADDED}"] == 3, "how it looks, joining, up"
+    assert {"join", "collect", "executive: collect begins"} <= said
+
+
+@NEEDS_VULKAN
+def test_viewer_shows_every_view_without_a_warning(recording: Path, tmp_path: Path) -> None:
+    from rerun.experimental import ViewerClient
+
+    picture = tmp_path / "picture.png"
+    with ViewerClient.spawn(
+        headless=True, port=free_port(), executable_path=viewer_binary()
+    ) as viewer:
+        viewer.open(str(recording))
+        viewer.save_screenshot(str(picture))
+        state = viewer.get_state()
+    names = {view.name for view in state.views}
+    assert {"Angle of elbow (deg)", "Tension (N)", "What the robot does", "Events"} <= names
+    assert any(view.view_class == "3D" for view in state.views)
+    assert [(view.name, report) for view in state.views for report in view.reports] == []
+    (shown,) = state.recordings
+    assert shown.current_timeline == "robot time"
+    assert picture.stat().st_size > 20_000, "an empty window packs to less"
+
+
+def test_page_is_served_on_loopback_and_ends_with_its_owner(recording: Path) -> None:
+    with open_view(recording, window=False) as viewer:
+        assert viewer.address.startswith("http://127.0.0.1:")
+        with urllib.request.urlopen(viewer.address, timeout=10.0) as page:
+            assert b"Rerun" in page.read()
+    assert viewer.process.poll() is not None
+
+
+# ── the process ─────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.fixture
+def hub() -> Iterator[tuple[Bus, str]]:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with Bus("elbow", "test", listen=endpoint) as bus:
+        bus.subscribe(m.Event, m.Presence)
+        yield bus, endpoint
+
+
+def start_viz(endpoint: str, folder: Path) -> subprocess.Popen[bytes]:
+    run_dir = folder / "run-1"
+    run_dir.mkdir(exist_ok=True)
+    command = [sys.executable, "-m", "runtime.process", "viz", "--robot", "elbow"]
+    where = ["--run-dir", str(run_dir), "--state-dir", str(folder), "--endpoint", endpoint]
+    with (folder / "viz.log").open("ab") as log:
+        return subprocess.Popen([*command, *where], stdout=log, stderr=log)
+
+
+def play(bus: Bus, begin_s: float, end_s: float) -> list[m.Message]:
+    """Say a piece of the made-up run on the bus, faster than life. Gives what was heard."""
+    heard: list[m.Message] = []
+    start = time.monotonic()
+    for now_ns, message in run(end_s):
+        t = now_ns * 1e-9
+        if t < begin_s and not isinstance(message, m.ChainBody | m.GroupState):
+            continue
+        if isinstance(message, m.ChainState):
+            late = start + max(0.0, t - begin_s) / SPEED - time.monotonic()
+            heard += [x for x in bus.wait(max(0.0, late)) if isinstance(x, m.Message)]
+            bus.publish(
+                m.Clock(stamp_ns=now_ns, speed=SPEED, real_time_factor=SPEED, incarnation=1)
+            )
+        bus.publish(message)
+    return heard
+
+
+def await_ready(bus: Bus, process: subprocess.Popen[bytes]) -> None:
+    deadline = time.monotonic() + 30.0
+    while "viz" not in bus.alive(0.2):
+        assert process.poll() is None, "viz ended at once: see its log"
+        assert time.monotonic() < deadline, "viz does not become ready"
+        bus.wait(0.1)
+
+
+def end(process: subprocess.Popen[bytes], how: signal.Signals) -> int:
+    process.send_signal(how)
+    return process.wait(15.0)
+
+
+def test_process_draws_dies_and_goes_on_in_a_new_file(hub: tuple[Bus, str], tmp_path: Path) -> None:
+    bus, endpoint = hub
+    process = start_viz(endpoint, tmp_path)
+    try:
+        await_ready(bus, process)
+        heard = play(bus, 0.0, 10.0)
+        (viewer,) = (e for e in heard if isinstance(e, m.Event) and e.kind == "viewer")
+        assert (tmp_path / "run-1" / "elbow.viewer").read_text() == viewer.data["url"]
+        bus.wait(0.5)
+        end(process, signal.SIGKILL)
+        process = start_viz(endpoint, tmp_path)
+        await_ready(bus, process)
+        play(bus, 10.0, 20.0)
+        assert end(process, signal.SIGTERM) == 0
+    finally:
+        if process.poll() is None:
+            end(process, signal.SIGKILL)
+    first, rows, _ = contents(tmp_path / "run-1" / "elbow.rrd")
+    second, more_rows, said = contents(tmp_path / "run-1" / "elbow-2.rrd")
+    assert first == second == "elbow-run-1", "both open as one run"
+    assert rows["/tension"] > 50
+    assert more_rows["/tension"] > 50
+    assert "collect" in said
+
+
+@NEEDS_VULKAN
+def test_a_viewer_that_joins_late_sees_the_live_run(hub: tuple[Bus, str], tmp_path: Path) -> None:
+    from rerun.experimental import ViewerClient
+
+    bus, endpoint = hub
+    process = start_viz(endpoint, tmp_path)
+    try:
+        await_ready(bus, process)
+        play(bus, 0.0, 14.0)
+        url = (tmp_path / "run-1" / "elbow.viewer").read_text()
+        with ViewerClient.spawn(
+            headless=True, port=free_port(), executable_path=viewer_binary()
+        ) as viewer:
+            viewer.open(url)
+            play(bus, 14.0, 18.0)
+            deadline = time.monotonic() + 15.0
+            while not (state := viewer.get_state()).recordings and time.monotonic() < deadline:
+                bus.wait(0.2)
+        (shown,) = state.recordings
+        assert shown.store_id.endswith("elbow-run-1")
+        assert [report for view in state.views for report in view.reports] == []
+    finally:
+        end(process, signal.SIGTERM)
+    assert os.path.exists(tmp_path / "run-1" / "elbow.rrd")
