@@ -80,6 +80,7 @@ class Group:
         self._exits: queue.SimpleQueue[tuple[Child, int]] = queue.SimpleQueue()
         self._children: dict[str, Child] = {}
         self._changed = threading.Condition()
+        self._running = False
         self._ending = False
         self._hurry = threading.Event()
         self._parking: Parking | None = None
@@ -126,6 +127,7 @@ class Group:
             child.start()
         self._thread = threading.Thread(target=self._watch, name="supervisor", daemon=True)
         self._thread.start()
+        self._running = True
 
     def wait_ready(self, timeout_s: float = 30.0) -> bool:
         """Wait until every process is ready; False when one failed or time is up."""
@@ -162,6 +164,9 @@ class Group:
 
     def stop(self, *, park: bool = True) -> None:
         """Park the arm, then end the processes in reverse order, the world last."""
+        if not self._running:
+            return
+        self._running = False
         if park:
             self._park()
         if self._hurry.is_set():

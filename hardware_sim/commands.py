@@ -1,0 +1,98 @@
+"""The simulation's commands: plug modules in and out, break things."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tomllib
+from pathlib import Path
+
+import msgspec
+
+from hardware_sim.faults import KINDS
+from runtime import messages as m
+from runtime.cli.client import add_robot_argument, request
+from runtime.cli.main import USAGE
+
+
+class Plug:
+    """Plug a muscle module into the simulated robot's chain.
+
+    MUSCLE is a spare of the robot file, or any new name with a path of its own: a TOML file with
+    attachment, direction, relays, as under [spare.path] of a robot file.
+
+    Examples:
+      myograft plug biceps_3
+      myograft plug brachialis --chain arm --path brachialis.toml
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("muscle")
+        parser.add_argument("--chain", default="", help="default: the spare's, or the only one")
+        parser.add_argument("--path", type=Path, metavar="FILE", help="where its wire runs")
+        parser.add_argument("--id", type=int, default=1, help="1: as it comes from the factory")
+        add_robot_argument(parser)
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Ask the world."""
+        path = None
+        if args.path is not None:
+            try:
+                path = msgspec.convert(tomllib.loads(args.path.read_text()), m.MusclePath)
+            except (OSError, ValueError, msgspec.ValidationError) as error:
+                print(f"myograft: {args.path}: {error}", file=sys.stderr)
+                return USAGE
+        plug = m.Plug(muscle=args.muscle, chain=args.chain, path=path, module_id=args.id)
+        return request(args.robot, plug)
+
+
+class Unplug:
+    """Take a muscle's module off its chain.
+
+    Examples:
+      myograft unplug biceps_3
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("muscle")
+        add_robot_argument(parser)
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Ask the world."""
+        return request(args.robot, m.Unplug(muscle=args.muscle))
+
+
+_USUAL = {"corrupt": 0.001, "drop": 0.05, "delay": 0.002, "cable": 0.0, "overheat": 60.0}
+
+
+class Fault:
+    """Break something in the simulation, or mend it with --amount 0.
+
+    kinds, targets, and what the amount means:
+      corrupt   chain or muscle  probability that a byte on the line has a flipped bit
+      drop      chain or muscle  probability that a packet is lost
+      delay     chain or muscle  seconds that answers come late
+      cable     chain            modules before the place where the cable is pulled
+      stuck     muscle or joint  its sensor gives its last reading for ever
+      rupture   muscle           its wire is torn
+      overheat  muscle           degC that its motor is hotter than its load makes it
+
+    Examples:
+      myograft fault corrupt arm --amount 0.001
+      myograft fault rupture biceps_1
+      myograft fault overheat triceps
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("kind", choices=KINDS)
+        parser.add_argument("target", help="a muscle, a joint or a chain")
+        parser.add_argument("--amount", type=float, help="how much; 0 mends what can be mended")
+        add_robot_argument(parser)
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Ask the world."""
+        amount = _USUAL.get(args.kind, 1.0) if args.amount is None else args.amount
+        return request(args.robot, m.Fault(kind=args.kind, target=args.target, amount=amount))

@@ -1,0 +1,188 @@
+"""`myograft status`: who runs, who is plugged in, how they feel."""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import msgspec
+
+from runtime import messages as m
+from runtime.cli.client import Client, add_robot_argument, with_robot
+from runtime.cli.main import DONE
+
+LISTEN_S = 0.12  # retained and fast topics have arrived by then; Health may not have
+
+
+class Status:
+    """Show a robot's processes, modules, task and schema.
+
+    Examples:
+      myograft status
+      myograft status --watch
+      myograft status --json | jq .modules
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        add_robot_argument(parser)
+        parser.add_argument("--json", action="store_true", help="for programs")
+        parser.add_argument("--watch", action="store_true", help="again every second")
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Listen for a moment, then show."""
+
+        def look(client: Client) -> int:
+            picture = Picture(client.robot)
+            client.bus.subscribe(*Picture.inputs)
+            wait_s = LISTEN_S
+            while True:
+                for message in client.gather(picture.take, wait_s):
+                    picture.take(message)
+                if args.json:
+                    print(msgspec.json.encode(picture.as_dict()).decode(), flush=True)
+                else:
+                    start = "\033[H\033[J" if args.watch else ""
+                    print(start + picture.as_text(), flush=True)
+                if not args.watch:
+                    return DONE
+                time.sleep(max(0.0, 1.0 - wait_s))
+
+        return with_robot(args.robot, look)
+
+
+class Picture:
+    """The newest message of each kind, put together."""
+
+    inputs = (
+        m.Clock,
+        m.GroupState,
+        m.Health,
+        m.ChainBody,
+        m.ChainState,
+        m.ExecutiveState,
+        m.SchemaVersion,
+    )
+
+    def __init__(self, robot: str) -> None:
+        self.robot = robot
+        self.clock: m.Clock | None = None
+        self.group: m.GroupState | None = None
+        self.executive: m.ExecutiveState | None = None
+        self.schema: m.SchemaVersion | None = None
+        self.health: dict[str, m.Health] = {}
+        self.bodies: dict[str, m.ChainBody] = {}
+        self.states: dict[str, m.ChainState] = {}
+
+    def take(self, message: m.Message) -> bool:
+        """Take in a message. Always False: there is always more to know."""
+        match message:
+            case m.Clock():
+                self.clock = message
+            case m.GroupState():
+                self.group = message
+            case m.ExecutiveState():
+                self.executive = message
+            case m.SchemaVersion():
+                self.schema = message
+            case m.Health():
+                self.health[message.process] = message
+            case m.ChainBody():
+                self.bodies[message.chain] = message
+            case m.ChainState():
+                self.states[message.chain] = message
+        return False
+
+    def as_dict(self) -> dict[str, object]:
+        """For `--json`."""
+        return {
+            "robot": self.robot,
+            "ready": self.group is not None and self.group.ready,
+            "run_dir": self.group.run_dir if self.group else "",
+            "time_s": self.clock.stamp_ns / 1e9 if self.clock else None,
+            "speed": self.clock.speed if self.clock else None,
+            "real_time_factor": self.clock.real_time_factor if self.clock else None,
+            "processes": self._processes(),
+            "modules": self._modules(),
+            "stage": self.executive.stage if self.executive else "",
+            "task": self.executive.task if self.executive else "",
+            "step": self.executive.step if self.executive else 0,
+            "steps": self.executive.steps if self.executive else 0,
+            "schema_version": self.schema.version if self.schema else None,
+            "schema_method": self.schema.method if self.schema else "",
+        }
+
+    def as_text(self) -> str:
+        """For a person."""
+        lines = [self._headline()]
+        lines += ["", *_table("process state restarts pid tick_hz cpu_% MB", self._processes())]
+        if modules := self._modules():
+            lines += ["", *_table("module kind chain id serial N degC state", modules)]
+        return "\n".join(lines)
+
+    def _headline(self) -> str:
+        parts = [self.robot, "ready" if self.group and self.group.ready else "not ready"]
+        if self.executive:
+            step = f" {self.executive.step}/{self.executive.steps}" if self.executive.steps else ""
+            doing = f"{self.executive.task} {self.executive.stage}".strip()
+            parts.append(f"{doing}{step}")
+        if self.schema:
+            parts.append(f"schema {self.schema.version} ({self.schema.method})")
+        if self.clock:
+            parts.append(
+                f"{self.clock.stamp_ns / 1e9:.1f} s, real-time factor "
+                f"{self.clock.real_time_factor:.2f} of {self.clock.speed:g}"
+            )
+        return "  |  ".join(parts)
+
+    def _processes(self) -> list[dict[str, object]]:
+        rows = []
+        for row in self.group.processes if self.group else ():
+            health = self.health.get(row.process)
+            rows.append(
+                {
+                    "process": row.process,
+                    "state": row.state,
+                    "restarts": row.restarts,
+                    "pid": row.pid,
+                    "tick_hz": round(health.tick_hz, 1) if health else None,
+                    "cpu_%": round(health.cpu_percent, 1) if health else None,
+                    "MB": round(health.memory_mb) if health else None,
+                    "dropped": health.dropped if health else None,
+                    "last_exit": row.last_exit,
+                }
+            )
+        return rows
+
+    def _modules(self) -> list[dict[str, object]]:
+        return [
+            {
+                "module": module.name or "(new)",
+                "kind": module.kind,
+                "chain": body.chain,
+                "id": module.module_id,
+                "serial": f"{module.serial:08x}",
+                "N": self._felt(body.chain, module.name, "tension_n"),
+                "degC": self._felt(body.chain, module.name, "temperature_degc"),
+                "state": f"{module.state} {module.fault}".strip(),
+            }
+            for body in self.bodies.values()
+            for module in body.modules
+        ]
+
+    def _felt(self, chain: str, muscle: str, quantity: str) -> float | None:
+        state = self.states.get(chain)
+        if state is None or muscle not in state.muscles:
+            return None
+        value: float = getattr(state, quantity)[state.muscles.index(muscle)]
+        return round(value, 1)
+
+
+def _table(columns: str, rows: list[dict[str, object]]) -> list[str]:
+    names = columns.split()
+    cells = [names]
+    for row in rows:
+        values = (row[name] for name in names)
+        cells.append(["-" if value is None else str(value) for value in values])
+    widths = [max(len(line[i]) for line in cells) for i in range(len(names))]
+    return ["  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) for line in cells]

@@ -1,0 +1,127 @@
+"""The services' commands: move the arm, run tasks, look at schemas, stop."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+
+from runtime import messages as m
+from runtime.cli.client import add_robot_argument, request
+from runtime.cli.main import USAGE
+
+
+class Reach:
+    """Move joints to a posture and hold it.
+
+    Angles are in degrees. Joints that are not named stay where they are.
+
+    Examples:
+      myograft reach elbow=45
+      myograft reach shoulder_pitch=30 elbow=90
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("angle", nargs="+", metavar="JOINT=DEG")
+        add_robot_argument(parser)
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Ask the executive."""
+        angles = {}
+        for word in args.angle:
+            joint, equals, degrees = word.partition("=")
+            try:
+                angles[joint] = math.radians(float(degrees))
+            except ValueError:
+                equals = ""
+            if not (joint and equals):
+                print(f"myograft: {word!r} is no angle: write elbow=45", file=sys.stderr)
+                return USAGE
+        return request(args.robot, m.Reach(angle_rad=angles))
+
+
+class Task:
+    """Run one of the robot file's tasks; or park, hold, cancel.
+
+    Examples:
+      myograft task sweep        run the task `sweep` of the robot file
+      myograft task hold         stay where the arm is
+      myograft task park         go to the rest posture
+      myograft task cancel       end what goes on, and hold
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("name", help="a task of the robot file, or park, hold, cancel")
+        add_robot_argument(parser)
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Ask the executive."""
+        return request(args.robot, m.Task(name=args.name))
+
+
+class Schema:
+    """List the body schema's versions, go back to one, or relearn.
+
+    Every version ever adopted is kept.
+
+    Examples:
+      myograft schema list
+      myograft schema rollback 2
+      myograft schema relearn --n-new 10
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("action", choices=("list", "rollback", "relearn"))
+        parser.add_argument("version", nargs="?", type=int, default=0, help="for rollback")
+        parser.add_argument("--method", default="iii", choices=("i", "ii", "iii"))
+        parser.add_argument("--n-new", type=int, default=7, help="motions to collect for relearn")
+        add_robot_argument(parser)
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Ask the retrainer, or the executive to relearn."""
+        if args.action == "relearn":
+            return request(args.robot, m.Relearn(method=args.method, n_new=args.n_new))
+        if args.action == "rollback" and args.version < 1:
+            print("myograft: rollback to which version? See: myograft schema list", file=sys.stderr)
+            return USAGE
+        return request(args.robot, m.SchemaRequest(action=args.action, version=args.version))
+
+
+class Estop:
+    """Stop the arm now: every wire pays out at bounded speed, and stays stopped.
+
+    Each driver answers for its own chain, and says so only after the measured tensions have
+    fallen. `myograft reset` clears the stop.
+
+    Examples:
+      myograft estop
+      myograft estop --reason "a hand in the way"
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("--reason", default="asked for at the command line")
+        add_robot_argument(parser)
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Ask every driver."""
+        return request(args.robot, m.Estop(reason=args.reason))
+
+
+class Reset:
+    """Clear a stop, and hold the arm where it is.
+
+    Examples:
+      myograft reset
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        add_robot_argument(parser)
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Ask every driver and the executive."""
+        return request(args.robot, m.Reset())
