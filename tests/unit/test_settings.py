@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from runtime.cli.main import USAGE, main
 from runtime.settings import ROBOTS, SettingsError, find_robot_file, load_path, load_robot
 from runtime.toml_lines import KeyPath, line_of, locate
 
@@ -200,6 +201,16 @@ def test_mistake_names_file_line_and_remedy(
     assert text.startswith(f"robot.toml:{line}: "), text
     assert words in text
     assert "\n" not in text
+
+
+@pytest.mark.parametrize(("old", "new"), [row[:2] for row in MISTAKES])
+def test_command_line_tells_it_without_a_traceback(
+    folder: Path, capsys: pytest.CaptureFixture[str], old: str, new: str
+) -> None:
+    (folder / "robot.toml").write_text(ROBOT.replace(old, new, 1))
+    assert main(["up", "robot.toml"]) == USAGE
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("myograft: robot.toml:")
 
 
 def test_the_unedited_file_is_right(folder: Path) -> None:
