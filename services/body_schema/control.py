@@ -82,7 +82,7 @@ def plan(
 
 
 def _smallest_tensions(g: Array, torque_nm: Array, low: Array, high: Array) -> Array:
-    """min ||f||^2 + weight ||tau + G^T f||^2, low <= f <= high: (M,) [N]."""
+    """Minimise ||f||^2 + weight ||tau + G^T f||^2, low <= f <= high: (M,) [N]."""
     weighted = TORQUE_WEIGHT * g  # (M, N)
     h = weighted @ g.T
     h.flat[:: len(low) + 1] += 1.0

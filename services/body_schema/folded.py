@@ -11,8 +11,11 @@ zeros that growth adds cannot change a rounding: the grown network's old outputs
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from services.body_schema.network import Array, Weights
+
+Indices = NDArray[np.intp]
 
 
 class Folded:
@@ -22,11 +25,11 @@ class Folded:
         self,
         weights: Weights,
         *,
-        inputs: Array,  # (K,) which columns are given
+        inputs: Indices,  # (K,) which columns are given
         scale_in: Array,  # (K,)
         offset_in: Array,  # (K,): subtracted before scaling
         constant: Array,  # (columns,): the inputs that do not change, scaled
-        outputs: Array,  # (R,) which rows are asked for
+        outputs: Indices,  # (R,) which rows are asked for
         scale_out: Array,  # (R,)
         offset_out: Array,  # (R,)
     ) -> None:
@@ -39,7 +42,7 @@ class Folded:
         self._offset = b6[outputs] * scale_out + offset_out  # (R,)
 
     def __call__(self, x: Array) -> Array:
-        """x (K,) -> (R,)."""
+        """The answer to one sample: x (K,) -> (R,)."""
         h = np.add.reduce(self._first * x[:, None], axis=0)
         h += self._bias
         np.tanh(h, h)
@@ -52,7 +55,7 @@ class Folded:
         return y
 
     def with_jacobian(self, x: Array, columns: int) -> tuple[Array, Array]:
-        """x (K,) -> y (R,) and dy/dx for the first `columns` inputs (R, columns)."""
+        """One sample: x (K,) -> y (R,) and dy/dx for the first `columns` inputs (R, columns)."""
         h = np.add.reduce(self._first * x[:, None], axis=0)
         h += self._bias
         np.tanh(h, h)
@@ -69,7 +72,7 @@ class Folded:
         return y, jacobian
 
     def batch(self, x: Array) -> Array:
-        """x (B, K) -> (B, R). Equal to the single call but for rounding."""
+        """Many samples: x (B, K) -> (B, R). Equal to the single call but for rounding."""
         h = np.tanh(x @ self._first + self._bias)
         for w, b in self._middle:
             h = np.tanh(h @ w.T + b)

@@ -81,6 +81,31 @@ def shrink(schema: Schema, muscle: str) -> Schema:
     )
 
 
+def permuted(schema: Schema, muscles: tuple[str, ...]) -> Schema:
+    """The same schema with its muscles in another order.
+
+    Raises:
+        SchemaError: these are not the schema's muscles.
+    """
+    if sorted(muscles) != sorted(schema.muscles):
+        raise SchemaError(f"{', '.join(muscles)} are not the schema's {', '.join(schema.muscles)}")
+    n, m = len(schema.joints), len(schema.muscles)
+    order = np.array([schema.muscles.index(muscle) for muscle in muscles])
+    rows = np.concatenate((np.arange(n), n + order, n + m + order))
+    mask = n + 2 * m + np.arange(3)
+    (w1, b1), *middle, (w6, b6) = schema.weights
+    return replace(
+        schema,
+        muscles=muscles,
+        weights=((w1[:, [*rows, *mask]], b1), *middle, (w6[rows], b6[rows])),
+        tension_scale_n=schema.tension_scale_n[order],
+        length_scale_m=schema.length_scale_m[order],
+        length_reference_m=schema.length_reference_m[order],
+        length_sigma_m=schema.length_sigma_m[order],
+        tension_range_n=schema.tension_range_n[order],
+    )
+
+
 def _with_ends(weights: Weights, change: Callable[[Array], Array]) -> Weights:
     """The same change to the first layer's columns and to the last layer's rows."""
     (w1, b1), *middle, (w6, b6) = weights

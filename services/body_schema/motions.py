@@ -22,7 +22,7 @@ class TrainingError(ValueError):
 def taut_samples(
     motions: Sequence[Motion], joints: int, muscles: int
 ) -> tuple[Array, Array, Array]:
-    """theta (T, N) [rad], f (T, M) [N], l (T, M) [m]: all samples in which every wire is taut.
+    """All samples in which every wire is taut: theta (T, N) [rad], f (T, M) [N], l (T, M) [m].
 
     Raises:
         TrainingError: shapes that do not fit, a number that is not finite, fewer than ten samples.
@@ -49,7 +49,8 @@ def residuals_m(schema: Schema, motions: Sequence[Motion]) -> Array:
         TrainingError: see `taut_samples`.
     """
     theta, f, length = taut_samples(motions, len(schema.joints), len(schema.muscles))
-    return np.sqrt(((length - schema.lengths(theta, f)) ** 2).mean(axis=0))
+    residual: Array = np.sqrt(((length - schema.lengths(theta, f)) ** 2).mean(axis=0))
+    return residual
 
 
 def refit(

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,14 +75,12 @@ def initial_weights(config: NetworkConfig, seed: int) -> Weights:
     sizes = config.sizes
     return tuple(
         (rng.normal(0.0, n_in**-0.5, (n_out, n_in)), np.zeros(n_out))
-        for n_in, n_out in zip(sizes, sizes[1:], strict=False)
+        for n_in, n_out in pairwise(sizes)
     )
 
 
-def forward(
-    weights: Sequence[tuple[Any, Any]], x: Any, tanh: Callable[[Any], Any] = np.tanh
-) -> Any:
-    """x (B, N + 2 M + 3) -> (B, N + 2 M); arrays of numpy or, with `torch.tanh`, of torch."""
+def forward(weights: Sequence[Sequence[Any]], x: Any, tanh: Callable[[Any], Any] = np.tanh) -> Any:
+    """The whole network, x (B, N + 2 M + 3) -> (B, N + 2 M), numpy or (`torch.tanh`) torch."""
     (w1, b1), (w2, b2), (w3, b3), (w4, b4), (w5, b5), (w6, b6) = weights
     h = tanh(x @ w1.T + b1)  # (B, N + 2 M + 3) -> (B, 200)
     h = tanh(h @ w2.T + b2)  # (B, 200) -> (B, 30)

@@ -14,6 +14,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError
@@ -30,7 +31,7 @@ from services.body_schema.network import (
     columns,
 )
 
-FORMAT = "myograft-schema-1"
+KEY, FORMAT = "myograft", "body-schema-1"
 LAYERS = 6
 
 
@@ -87,7 +88,7 @@ class Schema:
         return self.lengths_and_jacobian(theta, f)[1]
 
     def lengths_and_jacobian(self, theta: Array, f: Array) -> tuple[Array, Array]:
-        """l (M,) [m] and dl/dtheta (M, N) [m/rad] at theta (N,) [rad], f (M,) [N]."""
+        """Mask 110: l (M,) [m] and dl/dtheta (M, N) [m/rad] at theta (N,) [rad], f (M,) [N]."""
         return self._lengths.with_jacobian(np.concatenate((theta, f)), len(self.joints))
 
     def estimate(self, f: Array, length: Array) -> Array:
@@ -152,11 +153,12 @@ class Schema:
             tensors[f"b{layer}"] = np.ascontiguousarray(b)
         header = {
             "format": FORMAT,
-            "joints": json.dumps(self.joints),
-            "muscles": json.dumps(self.muscles),
-            "meta": json.dumps(dict(self.meta)),
+            "joints": self.joints,
+            "muscles": self.muscles,
+            "meta": dict(self.meta),
         }
-        return save(tensors, header)
+        # one entry: safetensors writes several in random order, and equal schemas are equal bytes
+        return save(tensors, {KEY: json.dumps(header, sort_keys=True)})
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Schema:
@@ -169,18 +171,16 @@ class Schema:
             tensors = load(data)
             header = _header(data)
         except (SafetensorError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise SchemaError(f"not a whole safetensors file: {error}") from error
-        if header.get("format") != FORMAT:
-            raise SchemaError(
-                f"format is {header.get('format', 'not named')}, this program reads {FORMAT}"
-            )
+            raise SchemaError(f"not a whole file of this format: {error!r}") from error
         joints, muscles = _names(header, "joints"), _names(header, "muscles")
         try:
             arrays = {name: tensors[name] for name in _shapes(len(joints), len(muscles))}
             weights = tuple((tensors[f"w{i}"], tensors[f"b{i}"]) for i in range(LAYERS))
         except KeyError as error:
             raise SchemaError(f"the schema lacks the array {error}") from error
-        meta = json.loads(header.get("meta", "{}"))
+        meta = header.get("meta")
+        if not isinstance(meta, dict):
+            raise SchemaError("the schema's meta is no table of words")
         return cls(joints=joints, muscles=muscles, weights=weights, meta=meta, **arrays)
 
 
@@ -227,17 +227,17 @@ def _checked_weights(weights: Weights, n: int, m: int) -> Weights:
     )
 
 
-def _header(data: bytes) -> dict[str, str]:
+def _header(data: bytes) -> dict[str, Any]:
     size = int.from_bytes(data[:8], "little")
-    metadata = json.loads(data[8 : 8 + size]).get("__metadata__", {})
-    return {str(key): str(value) for key, value in metadata.items()}
+    entries = json.loads(data[8 : 8 + size]).get("__metadata__", {})
+    header = json.loads(entries.get(KEY, "{}"))
+    if header.get("format") != FORMAT:
+        raise ValueError(f"its format is {header.get('format')}, this program reads {FORMAT}")
+    return dict(header)
 
 
-def _names(header: dict[str, str], key: str) -> tuple[str, ...]:
-    try:
-        names = json.loads(header[key])
-    except (KeyError, ValueError) as error:
-        raise SchemaError(f"the schema does not name its {key}") from error
+def _names(header: dict[str, Any], key: str) -> tuple[str, ...]:
+    names = header.get(key)
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise SchemaError(f"the schema's {key} are no list of names")
+        raise SchemaError(f"the schema does not name its {key}")
     return tuple(names)

@@ -105,28 +105,32 @@ def relearn(
 ) -> Schema:
     """h_new, with `added` as its last muscle, from h_old and motions: L = L_new + w L_old.
 
-    The motions' columns are old.joints and (*old.muscles, added). Methods: i (w = 0), ii (w = 1),
-    iii (w = 1 - e / N_epoch). `copy=False` starts from random weights, as the paper's control.
+    The motions' columns are old.joints and (*old.muscles, added); with `added` empty the body is
+    relearned as it is. Methods: i (w = 0), ii (w = 1), iii (w = 1 - e / N_epoch). `copy=False`
+    starts from random weights, as the paper's control.
 
     Raises:
         TrainingError: the motions leave nothing to learn from, or the method is unknown.
     """
     if method not in METHODS:
         raise TrainingError(f"method {method} is unknown, there are {', '.join(METHODS)}")
-    theta, f, length = taut_samples(motions, len(old.joints), len(old.muscles) + 1)
-    start = grow(
-        old,
-        added,
-        tension_scale_n=float(old.tension_scale_n.mean()),
-        length_scale_m=float(old.length_scale_m.mean()),
-        length_reference_m=float(length[:, -1].mean()),
-        tension_range_n=(float(f[:, -1].min()), float(f[:, -1].max())),
-    )
+    theta, f, length = taut_samples(motions, len(old.joints), len(old.muscles) + bool(added))
+    rng = np.random.default_rng(seed)
+    replay = _scaled(old, *_replay(old, rng))
+    start = old
+    if added:
+        replay = _with_zeros(replay, len(old.joints), len(old.muscles))
+        start = grow(
+            old,
+            added,
+            tension_scale_n=float(old.tension_scale_n.mean()),
+            length_scale_m=float(old.length_scale_m.mean()),
+            length_reference_m=float(length[:, -1].mean()),
+            tension_range_n=(float(f[:, -1].min()), float(f[:, -1].max())),
+        )
     if not copy:
         config = NetworkConfig(len(old.joints), len(start.muscles))
         start = replace(start, weights=initial_weights(config, seed))
-    rng = np.random.default_rng(seed)
-    replay = _with_zeros(_scaled(old, *_replay(old, rng)), len(old.joints), len(old.muscles))
     weights = _train(
         start, _scaled(start, theta, f, length), (replay, METHODS[method]), recipe, seed, progress
     )
@@ -201,8 +205,9 @@ def _with_zeros(data: _Data, n: int, m: int) -> _Data:
 
 def _replay(schema: Schema, rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Random theta (T, N) [rad] and f (T, M) [N] where h_old was learned, and its l (T, M) [m]."""
-    theta = rng.uniform(*schema.theta_range_rad.T, (REPLAYED, len(schema.joints)))
-    f = rng.uniform(*schema.tension_range_n.T, (REPLAYED, len(schema.muscles)))
+    (low, high), (weak, strong) = schema.theta_range_rad.T, schema.tension_range_n.T
+    theta = rng.uniform(low, high, (REPLAYED, len(low)))
+    f = rng.uniform(weak, strong, (REPLAYED, len(weak)))
     return theta, f, schema.lengths(theta, f)
 
 
@@ -252,7 +257,7 @@ def _train(
         w = old[1](epoch / epochs) if old else 0.0
         sums = [0.0, 0.0]
         order = torch.randperm(count, generator=random)
-        for i, picks in enumerate(order.split(recipe.batch)):
+        for i, picks in enumerate(torch.split(order, recipe.batch)):
             optimiser.param_groups[0]["lr"] = _rate(recipe, (epoch * per_epoch + i) / steps)
             x, y, keep = new.inputs[:, picks], new.targets[picks], new.keep
             if old and w:
@@ -266,7 +271,7 @@ def _train(
             loss_old = _norms(error[:, len(picks) :] * replay.keep, groups) if old and w else None
             loss = loss_new if loss_old is None else loss_new + w * loss_old
             optimiser.zero_grad()
-            loss.backward()
+            torch.autograd.backward(loss)
             optimiser.step()
             sums[0] += loss_new.item()
             sums[1] += loss_old.item() if loss_old is not None else 0.0
@@ -280,7 +285,7 @@ def _train(
 
 
 def _norms(error: torch.Tensor, groups: tuple[slice, ...]) -> torch.Tensor:
-    """error (3, B, N + 2 M) -> the sum of its groups' norms over masks, mean over the batch."""
+    """The groups' norms of an error (3, B, N + 2 M), summed over masks, mean over the batch."""
     norms = [torch.linalg.vector_norm(error[..., group], dim=-1) for group in groups]
     return torch.stack(norms).sum(dim=(0, 1)).mean()
 

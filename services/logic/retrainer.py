@@ -1,0 +1,338 @@
+"""Keeps the body schema's versions and relearns it on request.
+
+A `TrainingJob` becomes a `SchemaCandidate`; only the executive's `SchemaVerdict`, after held-out
+motion, makes it the `SchemaVersion` that everyone uses. Training takes seconds: it runs as a job
+that the shell starts (a thread when live, at once in the rig), so that `tick` never waits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+import msgspec
+
+from runtime.logic import Store
+from runtime.messages import (
+    Event,
+    Message,
+    Reply,
+    SchemaCandidate,
+    SchemaRequest,
+    SchemaVerdict,
+    SchemaVersion,
+    TrainingJob,
+    TrainingProgress,
+)
+from runtime.settings import RobotSettings
+from services.body_schema.growth import permuted
+from services.body_schema.motions import TrainingError, refit, reordered
+from services.body_schema.schema import Schema, SchemaError
+from services.logic.versions import CANDIDATE, REFUSED, USABLE, Version, Versions
+
+PROGRESS_MESSAGES = 100  # at most, for one job
+
+
+class Running(Protocol):
+    """A job under way: a `concurrent.futures.Future` will do."""
+
+    def done(self) -> bool:
+        """It has ended, well or not."""
+
+    def result(self) -> Schema:
+        """What it gave, or the exception that ended it."""
+
+
+StartJob = Callable[[Callable[[], Schema]], Running]
+
+
+class CancelledError(Exception):
+    """The job is not wanted any more."""
+
+
+class Retrainer:
+    """`TrainingJob` and `SchemaVerdict` in; progress, candidates and versions out.
+
+    Args:
+        settings: the robot's.
+        store: where versions outlive the process.
+        shipped: bytes of the schema that comes with the robot; version 1 of an empty store.
+        start_job: runs a callable beside or inside the present one.
+        warm_up: called once the stored schema is out, to make the first job quick.
+        wall_s: a clock, for `train_s` alone.
+    """
+
+    inputs: tuple[type[Message], ...] = (TrainingJob, SchemaVerdict)
+    requests: tuple[type[Message], ...] = (SchemaRequest,)
+    period_ns = 50_000_000
+
+    def __init__(
+        self,
+        settings: RobotSettings,
+        store: Store,
+        shipped: bytes | None,
+        start_job: StartJob,
+        warm_up: Callable[[], None] = lambda: None,
+        wall_s: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        self._limit_m = settings.growth.residual_limit_mm * 1e-3
+        self._versions = Versions(store, shipped)
+        self._start_job = start_job
+        self._warm_up: Callable[[], None] | None = warm_up
+        self._wall_s = wall_s
+        self._run: _Run | None = None
+        self._out: list[Message] = [
+            _event("warning", "schema_corrupt", text) for text in self._versions.complaints
+        ]
+        if self._versions.active is None:
+            self._out.append(_event("warning", "no_schema", "this robot has no body schema yet"))
+        self._publish_active()
+
+    # ── in ────────────────────────────────────────────────────────────────────────────────────
+
+    def receive(self, message: Message, now_ns: int) -> None:
+        """Jobs start, unless they are done or under way; verdicts adopt or refuse."""
+        if isinstance(message, TrainingJob):
+            self._take_job(message)
+        elif isinstance(message, SchemaVerdict):
+            self._take_verdict(message)
+
+    def answer(self, request: Message, now_ns: int) -> Reply:
+        """`list` the versions, or `rollback` to one."""
+        if not isinstance(request, SchemaRequest):
+            return Reply(ok=False, text=f"the retrainer does not know {type(request).__name__}")
+        if request.action == "list":
+            known = self._versions.known.values()
+            data = {str(version.number): self._words(version) for version in known}
+            return Reply(ok=True, text=f"{len(data)} versions", data=data)
+        if request.action == "rollback":
+            return self._roll_back(request.version)
+        return Reply(ok=False, text=f"'{request.action}' is neither list nor rollback")
+
+    def cancel(self) -> None:
+        """End the running job at its next epoch; for the process when it stops."""
+        if self._run is not None:
+            self._run.cancelled = True
+            self._run = None
+
+    # ── out ───────────────────────────────────────────────────────────────────────────────────
+
+    def tick(self, now_ns: int) -> Iterator[Message]:
+        """What is new: versions, progress, the end of a job."""
+        if self._warm_up is not None and not self._out:
+            self._warm_up()  # from the second tick on: the stored schema is out by now
+            self._warm_up = None
+        run = self._run
+        if run is not None and run.running is None:
+            run.started_s = self._wall_s()
+            run.running = self._start_job(run.work)
+        if run is not None:
+            while run.progress:
+                self._out.append(run.progress.popleft())
+            if run.running is not None and run.running.done():
+                self._run = None
+                self._finish(run, run.running)
+        out, self._out = self._out, []
+        for message in out:
+            yield msgspec.structs.replace(message, stamp_ns=now_ns)
+
+    # ── jobs ──────────────────────────────────────────────────────────────────────────────────
+
+    def _take_job(self, job: TrainingJob) -> None:
+        if self._run is not None and self._run.job.job == job.job:
+            self._tell(job, "starting")
+            return
+        version = self._versions.of_job(job.job)
+        if version is not None:  # done in a former life, or asked twice
+            self._tell(job, "done")
+            self._publish_candidate(version)
+            return
+        self.cancel()
+        self._tell(job, "starting")
+        try:
+            work = self._work(job)
+        except (SchemaError, TrainingError) as error:
+            self._tell(job, "failed", str(error))
+            return
+        self._run = _Run(job, *work)
+
+    def _work(self, job: TrainingJob) -> tuple[int, Callable[[_Run], Schema]]:
+        """Number of the parent version, and what there is to do for a job."""
+        base = self._versions.schema(job.base_version)
+        if set(job.joints) != set(base.joints):
+            raise TrainingError(f"the schema's joints are {', '.join(base.joints)}")
+        if job.kind == "shrink":
+            return job.base_version, lambda run: _shrunk(base, run)
+        if job.kind == "grow":
+            return job.base_version, lambda run: _grown(base, run)
+        if job.kind == "refit":
+            last = self._versions.last_with(set(job.muscles))
+            if last is None:
+                raise TrainingError(f"no schema of {', '.join(job.muscles)} is stored")
+            former = Schema.from_bytes(last.data)
+            returning = tuple(set(job.muscles) - set(base.muscles))
+            return last.number, lambda run: _refitted(former, run, returning, self._limit_m)
+        raise TrainingError(f"a job of kind '{job.kind}' is neither grow, shrink nor refit")
+
+    def _finish(self, run: _Run, running: Running) -> None:
+        job = run.job
+        try:
+            schema = permuted(running.result(), job.muscles)
+        except CancelledError:
+            self._tell(job, "failed", "cancelled")
+        except Exception as error:  # whatever went wrong in there must not end the process
+            known = isinstance(error, (TrainingError, SchemaError))
+            self._tell(job, "failed", str(error) if known else repr(error))
+        else:
+            method = job.method if job.kind == "grow" else job.kind
+            train_s = self._wall_s() - run.started_s
+            version = self._versions.add(schema, method, CANDIDATE, job.job, run.parent, train_s)
+            self._tell(job, "done")
+            self._publish_candidate(version)
+
+    def _tell(self, job: TrainingJob, stage: str, text: str = "") -> None:
+        self._out.append(TrainingProgress(job=job.job, stage=stage, text=text))
+
+    # ── versions ──────────────────────────────────────────────────────────────────────────────
+
+    def _take_verdict(self, verdict: SchemaVerdict) -> None:
+        version = self._versions.of_job(verdict.job)
+        if version is None:
+            if self._run is not None and self._run.job.job == verdict.job and not verdict.adopted:
+                self._run.cancelled = True
+        elif version.state == CANDIDATE and verdict.adopted:
+            residual_mm = verdict.residual_mm or version.residual_mm
+            replaced = msgspec.structs.replace(
+                version, residual_mm=residual_mm, reason=verdict.reason
+            )
+            self._versions.activate(replaced)
+            self._publish_active()
+        elif version.state == CANDIDATE:
+            self._versions.refuse(version, verdict.reason)
+        elif version is self._versions.active:  # said again by somebody who did not hear us
+            self._publish_active()
+
+    def _roll_back(self, number: int) -> Reply:
+        version = self._versions.known.get(number)
+        if version is None:
+            known = ", ".join(map(str, self._versions.known))
+            return Reply(ok=False, text=f"there is no version {number} to be read, only {known}")
+        if version.state not in USABLE:
+            return Reply(ok=False, text=f"version {number} was never in use: it is {version.state}")
+        self._versions.activate(version)
+        self._publish_active()
+        text = f"version {number} is in use again"
+        self._out.append(_event("info", "rolled_back", text, version=str(number)))
+        return Reply(ok=True, text=text)
+
+    def _publish_active(self) -> None:
+        version = self._versions.active
+        if version is not None:
+            self._out.append(
+                SchemaVersion(
+                    version=version.number,
+                    joints=version.joints,
+                    muscles=version.muscles,
+                    method=version.method,
+                    job=version.job,
+                    parent=version.parent,
+                    residual_mm=version.residual_mm,
+                    data=version.data,
+                )
+            )
+
+    def _publish_candidate(self, version: Version) -> None:
+        self._out.append(
+            SchemaCandidate(
+                version=version.number,
+                joints=version.joints,
+                muscles=version.muscles,
+                method=version.method,
+                job=version.job,
+                parent=version.parent,
+                residual_mm=version.residual_mm,
+                data=version.data,
+                train_s=version.train_s,
+            )
+        )
+
+    def _words(self, version: Version) -> str:
+        active = self._versions.active
+        use = "active, " if active is not None and active.number == version.number else ""
+        words = f"{use}{version.state}, method {version.method}, {', '.join(version.muscles)}"
+        return f"{words} ({version.reason})" if version.state == REFUSED else words
+
+
+class _Run:
+    """One job under way. `work` runs beside the logic: it touches `progress` alone."""
+
+    def __init__(self, job: TrainingJob, parent: int, do: Callable[[_Run], Schema]) -> None:
+        self.job = job
+        self.parent = parent
+        self.running: Running | None = None
+        self.started_s = 0.0
+        self.cancelled = False
+        self.progress: deque[TrainingProgress] = deque()  # appending and popping are atomic
+        self._do = do
+
+    def work(self) -> Schema:
+        return self._do(self)
+
+    def epoch_done(
+        self, epoch: int, epochs: int, loss: float, loss_new: float, loss_old: float
+    ) -> None:
+        if self.cancelled:
+            raise CancelledError
+        if epoch % math.ceil(epochs / PROGRESS_MESSAGES) == 0:
+            self.progress.append(
+                TrainingProgress(
+                    job=self.job.job,
+                    stage="training",
+                    epoch=epoch,
+                    epochs=epochs,
+                    loss=loss,
+                    loss_new=loss_new,
+                    loss_old=loss_old,
+                )
+            )
+
+
+def _event(level: str, kind: str, text: str, **data: str) -> Event:
+    return Event(process="retrainer", level=level, kind=kind, text=text, data=data)
+
+
+def _grown(base: Schema, run: _Run) -> Schema:
+    from services.body_schema import train  # torch comes in with the first job
+
+    job = run.job
+    added = [muscle for muscle in job.muscles if muscle not in base.muscles]
+    if len(added) > 1 or not set(base.muscles) <= set(job.muscles):
+        raise TrainingError(
+            f"from {', '.join(base.muscles)} to {', '.join(job.muscles)} is not one muscle more"
+        )
+    motions = [reordered(motion, job.muscles, (*base.muscles, *added)) for motion in job.motions]
+    return train.relearn(
+        base,
+        motions,
+        added[0] if added else "",
+        job.method,
+        seed=job.seed,
+        progress=run.epoch_done,
+    )
+
+
+def _shrunk(base: Schema, run: _Run) -> Schema:
+    from services.body_schema import train
+
+    job = run.job
+    if not set(job.muscles) < set(base.muscles):
+        raise TrainingError(f"{', '.join(job.muscles)} are not fewer than {base.muscles}")
+    return train.distil(base, job.muscles, seed=job.seed, progress=run.epoch_done)
+
+
+def _refitted(former: Schema, run: _Run, returning: tuple[str, ...], limit_m: float) -> Schema:
+    job = run.job
+    motions = [reordered(motion, job.muscles, former.muscles) for motion in job.motions]
+    return refit(former, motions, returning, limit_m)

@@ -1,0 +1,29 @@
+"""Process: training jobs in, body schema versions out. The only process that imports torch."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+from runtime.process import Launch
+from services.logic.retrainer import Retrainer
+
+
+def main(launch: Launch) -> None:
+    """Run the retrainer of one robot; one thread beside it learns."""
+    file = launch.settings.schema_file
+    shipped = file.read_bytes() if file is not None and file.exists() else None
+    learner = ThreadPoolExecutor(1, "learner")
+
+    def warm_up() -> None:
+        learner.submit(importlib.import_module, "services.body_schema.train")
+
+    retrainer = Retrainer(
+        launch.settings, launch.store, shipped, learner.submit, warm_up, time.perf_counter
+    )
+    try:
+        launch.run(retrainer)
+    finally:
+        retrainer.cancel()
+        learner.shutdown(wait=True)
