@@ -84,7 +84,8 @@ class Story:
         if executive is None:
             return "# waiting for the executive"
         step = f" {executive.step}/{executive.steps}" if executive.steps else ""
-        lines = [f"# {executive.stage}{step}"]
+        title = f"# {executive.stage}{step}"
+        lines = []
         if executive.growing:
             lines.append(f"taking in **{executive.growing}**")
         elif executive.task:
@@ -97,4 +98,4 @@ class Story:
             lines.append(executive.text)
         if not math.isnan(self._factor):
             lines.append(f"{self._factor:.1f} x real time")
-        return "\n\n".join(lines)
+        return f"{title}\n\n" + " · ".join(lines)

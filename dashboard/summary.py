@@ -95,13 +95,14 @@ def draw_summary(
             axes.set_xlim(time[0], time[-1])
             axes.grid(axis="y", color="#e8eaed", lw=0.8)
             axes.set_axisbelow(True)
-            axes.legend(
-                loc="upper left",
-                bbox_to_anchor=(1.005, 1.03),
-                frameon=False,
-                fontsize=9,
-                handlelength=1.6,
-            )
+            if axes.lines:
+                axes.legend(
+                    loc="upper left",
+                    bbox_to_anchor=(1.005, 1.03),
+                    frameon=False,
+                    fontsize=9,
+                    handlelength=1.6,
+                )
         _mark(top, bottom, marks)
         if table:
             _write_table(bottom, table)

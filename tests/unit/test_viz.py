@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import socket
 import sys
 import time
 from collections import defaultdict
@@ -13,10 +15,14 @@ import numpy as np
 import pytest
 
 from dashboard.canvas import Floats, Shape, Wire
+from dashboard.commands import find_sources
 from dashboard.palette import Rgb, slot_color, tension_color
 from dashboard.stream import Stream
+from dashboard.summary import draw_summary
 from dashboard.tracks import MAX_ROWS, Slots, Track
+from dashboard.viewer import ViewerError, has_display
 from runtime import messages as m
+from runtime.hubs import Claim, Hub, HubError
 from runtime.settings import RobotSettings, load_robot
 from tests.made_up_run import ADDED, FIRST, PLUG_S, run
 
@@ -407,3 +413,72 @@ def test_stream_needs_neither_rerun_nor_mujoco() -> None:
     root = Path(__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+# ── myograft view, and the summary ──────────────────────────────────────────────────────────────
+
+
+@pytest.fixture
+def no_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.delenv("MYOGRAFT_ENDPOINT", raising=False)
+    return tmp_path / "myograft"
+
+
+def test_view_shows_the_last_run_of_a_robot_that_does_not_run(no_robot: Path) -> None:
+    for i, name in enumerate(("old/elbow.rrd", "new/elbow.rrd", "new/elbow-2.rrd")):
+        file = no_robot / "elbow" / "runs" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+        os.utime(file, (i, i))
+    runs = no_robot / "elbow" / "runs" / "new"
+    assert find_sources("elbow") == [str(runs / "elbow.rrd"), str(runs / "elbow-2.rrd")]
+    assert find_sources(str(runs / "elbow.rrd")) == [str(runs / "elbow.rrd")]
+
+
+def test_view_says_what_is_missing(no_robot: Path) -> None:
+    with pytest.raises(HubError, match="no robot is running"):
+        find_sources("elbow")
+    with pytest.raises(HubError, match="no robot is running"):
+        find_sources()
+    with pytest.raises(ViewerError, match=r"no recording nowhere\.rrd"):
+        find_sources("nowhere.rrd")
+
+
+def test_view_finds_the_live_address_once_somebody_answers_there(
+    no_robot: Path, tmp_path: Path
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"rerun+http://127.0.0.1:{server.getsockname()[1]}/proxy"
+        hub = Hub(robot="elbow", pid=os.getpid(), endpoint="tcp/x", run_dir=str(tmp_path))
+        claim = Claim(hub)
+        (tmp_path / "elbow.viewer").write_text(url)
+        assert find_sources("elbow") == [url]
+        assert find_sources() == [url]
+        claim.release()
+
+
+def test_window_needs_a_display() -> None:
+    assert not has_display({}, "linux")
+    assert has_display({"DISPLAY": ":0"}, "linux")
+    assert has_display({"WAYLAND_DISPLAY": "wayland-0"}, "linux")
+    assert has_display({}, "darwin")
+
+
+def test_summary_is_a_picture_also_of_one_muscle_and_nothing_else(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    time_s = np.linspace(0.0, 90.0, 300)
+    full, bare = tmp_path / "full.png", tmp_path / "bare.png"
+    draw_summary(
+        full,
+        time_s=time_s,
+        angle_deg={"reference": time_s, "measured": time_s, "true": time_s},
+        tension_n={"triceps": time_s, "biceps_3": np.where(time_s < 40.0, np.nan, 5.0)},
+        marks=[(40.0, "plug"), (41.0, "collect"), (60.0, "relearn")],
+        table=[("", "before", "after"), ("mean tension", "31 N", "19 N")],
+        title="A muscle is plugged in",
+    )
+    draw_summary(bare, time_s=time_s, angle_deg={}, tension_n={"triceps": time_s})
+    for file in (full, bare):
+        assert file.read_bytes().startswith(b"\x89PNG")
+    assert full.stat().st_size > bare.stat().st_size

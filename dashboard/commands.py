@@ -1,0 +1,120 @@
+"""`myograft view`: look at a robot that runs, or at what one did."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from dashboard.viewer import Viewer, ViewerError, answers, has_display, open_view
+from runtime.cli.main import DONE, NOT_RUNNING, REFUSED
+from runtime.hubs import HubError, find_hub, robot_home
+
+PATIENCE_S = 10.0  # the group may just be starting
+
+
+class View:
+    """Open the live picture of a robot, or a recording of a run.
+
+    On a display this opens the native viewer. Without one it serves the viewer as a page, on
+    loopback only, and prints its address: forward the two ports to look from elsewhere.
+    A robot that does not run is shown as it was in its last run.
+
+    Examples:
+      myograft view                   the robot that runs
+      myograft view elbow
+      myograft view run/elbow.rrd     a recording
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument(
+            "what", nargs="?", default="", metavar="ROBOT|RUN.rrd", help="robot or recording"
+        )
+        parser.add_argument(
+            "--robot", default="", metavar="NAME", help="the same as naming the robot"
+        )
+        parser.add_argument(
+            "--web", action="store_true", help="serve the page even if there is a display"
+        )
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Find it, show it, and stay until the viewer is closed."""
+        try:
+            sources = find_sources(args.what or args.robot)
+            viewer = open_view(*sources, window=not args.web and has_display())
+        except HubError as error:
+            print(f"myograft: {error}", file=sys.stderr)
+            return NOT_RUNNING
+        except ViewerError as error:
+            print(f"myograft: {error}", file=sys.stderr)
+            return REFUSED
+        with viewer:
+            _announce(viewer, sources)
+            viewer.wait()
+        return DONE
+
+
+def find_sources(what: str = "") -> list[str]:
+    """What to show for a robot's name or a recording's path: a live address, or files of one run.
+
+    Raises:
+        HubError: no such robot runs here, and it has left no recording.
+        ViewerError: the recording is missing, or the running robot has no picture.
+    """
+    if what.endswith(".rrd") or os.sep in what:
+        if not Path(what).exists():
+            raise ViewerError(f"there is no recording {what}")
+        return [what]
+    try:
+        hub = find_hub(what)
+    except HubError:
+        files = _last_run(what) if what else []
+        if not files:
+            raise
+        return files
+    url = _live_address(Path(hub.run_dir), hub.robot)
+    if not url:
+        raise ViewerError(
+            f"{hub.robot!r} runs without its picture: start it with the process viz, see "
+            f"`myograft status`"
+        )
+    return [url]
+
+
+def _live_address(run_dir: Path, robot: str, sleep: Callable[[float], None] = time.sleep) -> str:
+    """Where the run's picture is served; "" when nobody serves it within some seconds."""
+    for _ in range(round(PATIENCE_S / 0.2)):
+        try:
+            url = (run_dir / f"{robot}.viewer").read_text()
+        except OSError:
+            url = ""
+        if url and answers(int(url.rpartition(":")[2].partition("/")[0])):
+            return url
+        sleep(0.2)
+    return ""
+
+
+def _last_run(robot: str) -> list[str]:
+    """The newest run's recordings, in the order in which they were written."""
+    files = list((robot_home(robot) / "runs").glob(f"*/{robot}*.rrd"))
+    if not files:
+        return []
+    newest = max(files, key=lambda file: file.stat().st_mtime).parent
+    return [str(file) for file in sorted(newest.glob(f"{robot}*.rrd"), key=_segment)]
+
+
+def _segment(file: Path) -> int:
+    """`elbow.rrd` -> 1, `elbow-2.rrd` -> 2."""
+    number = file.stem.rpartition("-")[2]
+    return int(number) if number.isdigit() else 1
+
+
+def _announce(viewer: Viewer, sources: list[str]) -> None:
+    if viewer.address:
+        print(f"open {viewer.address}\nCtrl-C ends it", flush=True)
+    else:
+        print(f"showing {', '.join(sources)}", flush=True)
