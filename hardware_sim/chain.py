@@ -7,7 +7,7 @@ other's answers; noise spoils both ways; a pulled cable takes away all modules b
 from __future__ import annotations
 
 from hardware_sim.faults import Faults
-from hardware_sim.firmware import Module
+from hardware_sim.module import Module
 from runtime.wire import packet as wire
 from runtime.wire.packet import ALERT, BROADCAST, HEADER, Instruction, StatusError, StatusPacket
 

@@ -9,14 +9,13 @@ What a module is told and what it answers stands in `firmware.py`.
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware_sim.muscle_rows import ROWS, Array, MuscleRows
 from runtime.wire.registers import HardwareError, Status
-
-Array = NDArray[np.float64]
 
 GAIN_M_S_N = 0.002  # x 40 kN/m x 1 ms = 0.08: far from the 1 at which the loop would ring
 GUARD_GAIN_M_S_N = 0.01  # 15 N above the guard pays out 0.15 m/s; x 40 kN/m x 1 ms = 0.4
@@ -47,38 +46,7 @@ class Mode(IntEnum):
     STOPPED = Status.STOPPED
 
 
-class _Indexed(Protocol):
-    index: int
-
-
-_ROWS = {  # row of the table -> its value in a new module
-    "bias_n": 0.0,
-    "stiffness_n_m": 0.0,
-    "target_length_m": 0.0,
-    "tension_limit_n": 150.0,
-    "winding_speed_limit_m_s": 0.25,
-    "temperature_limit_degc": 80.0,
-    "length_zero_m": 0.0,
-    "tension_tare_n": 0.0,
-    "spool_radius_m": 0.008,
-    "tension_n": 0.0,
-    "length_m": 0.0,
-    "temperature_degc": 25.0,
-    "mode": 0.0,
-    "torque": 0.0,
-    "stop": 0.0,
-    "tripped": 0.0,
-    "watchdog_s": 0.0,
-    "heard_ns": 0.0,
-    "hardware_error": 0.0,
-    "derating": 1.0,
-    "overload_s": 0.0,
-    "peak_target_speed_m_s": 0.0,
-    "target_written_ns": -1.0,
-}
-
-
-class MuscleBank:
+class MuscleBank(MuscleRows):
     """Firmware of M muscle modules, in the order in which they were added.
 
     Attributes, each of shape (M,); lengths and tensions are as the module reports them, with its
@@ -92,64 +60,14 @@ class MuscleBank:
         peak_target_speed_m_s: fastest that the target moved between two writes, both obeyed.
     """
 
-    bias_n: Array
-    stiffness_n_m: Array
-    target_length_m: Array
-    tension_limit_n: Array
-    winding_speed_limit_m_s: Array
-    temperature_limit_degc: Array
-    length_zero_m: Array
-    tension_tare_n: Array
-    spool_radius_m: Array
-    tension_n: Array
-    length_m: Array
-    temperature_degc: Array
-    mode: Array
-    torque: Array
-    stop: Array
-    tripped: Array
-    watchdog_s: Array
-    heard_ns: Array
-    hardware_error: Array
-    derating: Array
-    overload_s: Array
-    peak_target_speed_m_s: Array
-    target_written_ns: Array
-
     def __init__(self) -> None:
         self.now_ns = 0
-        self._holders: list[_Indexed] = []
         self._next_check_ns = 0
-        self._use(np.zeros((len(_ROWS), 0)))
-
-    def __len__(self) -> int:
-        return len(self._reference_n)
-
-    def add(self, **values: float) -> int:
-        """One more muscle, torque off; `values` set rows by name. Returns its index."""
-        column = np.array([[{**_ROWS, **values}[name]] for name in _ROWS])
-        self._use(np.concatenate((self._table, column), axis=1))
-        return len(self) - 1
-
-    def remove(self, index: int) -> None:
-        """Take a muscle out; the modules behind it move up by one."""
-        self._use(np.delete(self._table, index, axis=1))
-        self._holders = [holder for holder in self._holders if holder.index != index]
-        for holder in self._holders:
-            holder.index -= holder.index > index
-
-    def bind(self, holder: _Indexed) -> None:
-        """Keep `holder.index` right when muscles are removed."""
-        self._holders.append(holder)
-
-    def column(self, index: int) -> dict[str, float]:
-        """All that one module remembers, to be saved; see `set_column`."""
-        return dict(zip(_ROWS, self._table[:, index].tolist(), strict=True))
+        super().__init__()
 
     def set_column(self, index: int, column: dict[str, Any]) -> None:
-        """Give a module back what `column` saved."""
-        for row, name in enumerate(_ROWS):
-            self._table[row, index] = column[name]
+        """As `MuscleRows.set_column`; the loop goes on in the mode that was saved."""
+        super().set_column(index, column)
         self._limits_changed()
         self._drive(index)
 
@@ -224,7 +142,11 @@ class MuscleBank:
         self.target_length_m[index] = length_m
 
     def set_limit(self, index: int, row: str, value: float) -> None:
-        """Write a limit or a zero."""
+        """Write a limit or a zero; the reading moves with its zero at once."""
+        if row == "length_zero_m":
+            self.length_m[index] += self.length_zero_m[index] - value
+        elif row == "tension_tare_n":
+            self.tension_n[index] += self.tension_tare_n[index] - value
         getattr(self, row)[index] = value
         self._limits_changed()
 
@@ -252,17 +174,15 @@ class MuscleBank:
         for name in ("bias_n", "stiffness_n_m", "target_length_m", "torque", "stop", "tripped",
                      "watchdog_s", "hardware_error", "derating", "overload_s",
                      "target_written_ns"):  # fmt: skip
-            getattr(self, name)[index] = _ROWS[name]
+            getattr(self, name)[index] = ROWS[name]
         self._limits_changed()
         self._drive(index)
 
     # ── inside ───────────────────────────────────────────────────────────────────────────────
 
     def _use(self, table: Array) -> None:
-        self._table = table
-        for row, name in enumerate(_ROWS):
-            setattr(self, name, table[row])
-        count = table.shape[1]
+        super()._use(table)
+        count = len(self)
         self._reference_n, self._v, self._guard, self._before_n = np.zeros((4, count))
         self._gain, self._pay_out_m_s = np.zeros((2, count))
         self._limits_changed()

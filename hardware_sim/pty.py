@@ -38,6 +38,7 @@ class PtyChain:
         self._chain = chain
         self._now_ns = now_ns
         self.lock = threading.Lock()
+        self._closed = False
         # Our own end of the client's side stays open, so that a client may come and go.
         self._master, self._slave = pty.openpty()
         tty.setraw(self._master)
@@ -50,8 +51,9 @@ class PtyChain:
 
     def close(self) -> None:
         """End the thread and take the terminal away. Safe to call twice."""
-        if not self._thread.is_alive():
+        if self._closed:
             return
+        self._closed = True
         os.write(self._wake_write, b"\0")
         self._thread.join()
         for fd in (self._master, self._slave, self._wake_read, self._wake_write):

@@ -18,7 +18,8 @@ from dynamixel_sdk import (
 )
 
 from hardware_sim.chain import Chain
-from hardware_sim.firmware import JointModule, MuscleModule
+from hardware_sim.firmware import MuscleModule
+from hardware_sim.module import JointModule
 from hardware_sim.muscle_bank import MuscleBank
 from hardware_sim.pty import PtyChain
 

@@ -2,10 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hardware_sim.chain import Chain
 from hardware_sim.faults import ActiveFault, Faults
-from hardware_sim.firmware import JointModule, Module, MuscleModule
+from hardware_sim.firmware import MuscleModule
+from hardware_sim.module import JointModule, Module
 from hardware_sim.muscle_bank import MuscleBank
 from runtime.wire import packet as wire
 from runtime.wire.packet import Packet, StatusError, StatusPacket
@@ -338,3 +341,26 @@ def test_switch_board() -> None:
         faults.set("fire", "arm")
     with pytest.raises(ValueError, match="cannot have the amount 2"):
         faults.set("drop", "arm", 2.0)
+
+
+# ── whatever comes ────────────────────────────────────────────────────────────────────────────
+
+
+@given(st.lists(st.binary(max_size=40) | st.just(wire.HEADER), max_size=6))
+def test_noise_never_breaks_the_chain(pieces: list[bytes]) -> None:
+    chain = chain_of(2, 100)
+    for piece in pieces:
+        chain.receive(piece, 0)
+    assert status(2, b"1M\x01") in say(chain, wire.ping(2))
+
+
+@given(st.sampled_from((2, 100, 254)), st.integers(1, 255), st.binary(max_size=24))
+def test_any_packet_gets_a_whole_answer_or_none(
+    module_id: int, instruction: int, params: bytes
+) -> None:
+    chain = chain_of(2, 100)
+    packet = wire.InstructionPacket(module_id, instruction, params)
+    reply, decoder = chain.receive(wire.encode(packet), 0), wire.Decoder()
+    decoder.feed(reply)
+    fast = instruction in (0x8A, 0x9A)  # may break off at a module that is not there
+    assert fast or (decoder.discarded, decoder.crc_errors) == (0, 0)
