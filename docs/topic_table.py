@@ -1,4 +1,4 @@
-"""Write the topic table of ARCHITECTURE.md from `runtime/topics.py`: `make docs`."""
+"""Write ARCHITECTURE.md's topic table from `runtime/topics.py`: `python -m docs.topic_table`."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def read_body(path: Path) -> BodyNames:
     Raises:
         BodyError: the file is missing, is no XML or no MJCF.
     """
-    root = _parse(path, path.parent)
+    root = _parse(path, ())
     if root.tag != "mujoco":
         raise BodyError(f"is not a MuJoCo body: its outermost element is <{root.tag}>")
     names = BodyNames(path.name)
@@ -51,15 +51,29 @@ def read_body(path: Path) -> BodyNames:
                 names.sites.add(name)
             elif element.tag == "joint":
                 limits = element.get("range") or defaults.get(element.get("class", style), "")
-                low_high = tuple(float(word) * to_deg for word in limits.split())
-                hinge = element.get("type", "hinge") == "hinge" and len(low_high) == 2
-                names.joints[name] = (low_high[0], low_high[1]) if hinge else None
+                hinge = element.get("type", "hinge") == "hinge"
+                names.joints[name] = _range_deg(limits, to_deg) if hinge else None
     names.tendons.update(wire.get("name", "") for wire in root.iterfind("tendon/spatial"))
     return names
 
 
-def _parse(path: Path, folder: Path) -> ET.Element:
-    """The file's element tree with every `<include>` put in its place."""
+def _range_deg(text: str, to_deg: float) -> tuple[float, float] | None:
+    """Two numbers, or None for a joint that goes as far as it likes."""
+    try:
+        low, high = (float(word) * to_deg for word in text.split())
+    except ValueError:
+        return None  # no range, or one that MuJoCo will have its own word on
+    return low, high
+
+
+def _parse(path: Path, within: tuple[Path, ...]) -> ET.Element:
+    """The file's element tree with every `<include>` put in its place.
+
+    As in MuJoCo, included files lie beside the outermost one (`within[0]`).
+    """
+    if path in within:
+        raise BodyError("includes itself")
+    within = (*within, path)
     try:
         root = ET.fromstring(path.read_bytes())
     except ET.ParseError as error:
@@ -70,7 +84,8 @@ def _parse(path: Path, folder: Path) -> ET.Element:
         for index, child in reversed(list(enumerate(parent))):
             if child.tag == "include":
                 try:
-                    parent[index : index + 1] = list(_parse(folder / child.get("file", ""), folder))
+                    file = within[0].parent / child.get("file", "")
+                    parent[index : index + 1] = list(_parse(file, within))
                 except BodyError as error:
                     raise BodyError(f"includes {child.get('file')}, which {error}") from None
     return root

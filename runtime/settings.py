@@ -110,7 +110,7 @@ class Simulation(_Table, frozen=True, kw_only=True):
     tension_noise_n: float = 0.2
     length_noise_m: float = 2e-5
     angle_noise_rad: float = 1e-3
-    wire_friction: float = 0.06  # mu phi: friction is tension * sinh(mu phi)
+    wire_friction: float = 0.022  # mu phi: friction is tension * sinh(mu phi)
     elastic_n_m: tuple[float, float, float] = (1000.0, 0.0, 7.5e7)  # f = a e + b e^2 + c e^3
     ambient_degc: float = 25.0
 
@@ -184,6 +184,8 @@ def load_robot(name_or_path: str, name: str = "") -> RobotSettings:
         robot = msgspec.structs.replace(settings.robot, name=name)
         settings = msgspec.structs.replace(settings, robot=robot)
     for mistake in robot_mistakes(settings):
+        if name and mistake.path == ("robot", "name"):
+            raise SettingsError(mistake.text)  # it does not stand in the file
         raise located(path, mistake)
     return settings
 

@@ -43,7 +43,8 @@ def read_toml(path: Path, kind: type[T], others: Iterable[Path] = ()) -> T:
 def located(path: Path, mistake: Mistake) -> SettingsError:
     """The error for a mistake in a file that is valid TOML."""
     line = line_of(locate(path.read_text(encoding="utf-8")), mistake.path)
-    return SettingsError(f"{shown(path)}:{line}: {mistake.text}")
+    text = mistake.text.replace("\n", "\\n")  # of a name that has one
+    return SettingsError(f"{shown(path)}:{line}: {text}")
 
 
 def shown(path: Path) -> str:

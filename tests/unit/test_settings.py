@@ -7,6 +7,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from runtime.cli.main import USAGE, main
 from runtime.settings import ROBOTS, SettingsError, find_robot_file, load_path, load_robot
@@ -112,6 +114,7 @@ MISTAKES = [
     ("[control]", "[[control]]", 44, "'control' has to be a table; write [control]"),
     ('name = "elbow"\nbody', "name = 2020-01-01\nbody", 3, "name has to be a string in quotes"),
     # names
+    ('name = "elbow"\nbody', 'name = "a\\nb"\nbody', 3, r"robot name 'a\nb' cannot be"),
     ('name = "elbow"\nbody', 'name = "my elbow"\nbody', 3, "robot name 'my elbow' cannot be"),
     ('name = "elbow"\nbody', 'name = "a/b"\nbody', 3, "use letters, digits"),
     ('name = "elbow"\nbody', 'name = "a*"\nbody', 3, "robot name 'a*' cannot be"),
@@ -215,12 +218,12 @@ def test_command_line_tells_it_without_a_traceback(
 
 def test_the_unedited_file_is_right(folder: Path) -> None:
     (folder / "robot.toml").write_text(ROBOT)
-    settings = load_robot("robot.toml")
-    assert settings.muscles == ("triceps", "biceps_1")
-    assert settings.joints == ("elbow",)
-    assert settings.body_file == folder / "elbow.xml"
+    robot = load_robot("robot.toml")
+    assert robot.muscles == ("triceps", "biceps_1")
+    assert robot.joints == ("elbow",)
+    assert robot.body_file == folder / "elbow.xml"
     assert load_robot("robot.toml", name="left").name == "left"
-    with pytest.raises(SettingsError, match="robot name 'a b' cannot be"):
+    with pytest.raises(SettingsError, match=r"^robot name 'a b' cannot be"):
         load_robot("robot.toml", name="a b")
 
 
@@ -259,6 +262,35 @@ def test_joint_range_in_radian_and_in_an_included_file(folder: Path) -> None:
     (folder / "robot.toml").write_text(ROBOT)
     with pytest.raises(SettingsError, match=r"-5\.72958 to 57\.2958 deg"):
         load_robot("robot.toml")
+
+
+def test_body_that_includes_itself(folder: Path) -> None:
+    (folder / "elbow.xml").write_text('<mujoco><include file="elbow.xml"/></mujoco>')
+    (folder / "robot.toml").write_text(ROBOT)
+    with pytest.raises(SettingsError, match=r"robot\.toml:4: .* which includes itself"):
+        load_robot("robot.toml")
+
+
+WORDS = "\" ''' [ ] [[ { } = # . , nan -1 true x [0] {} < /> \\ 1979-05-27 1e999 class='a' é"
+SCRAPS = st.sampled_from([*WORDS.split(), "", "\n", "\0", "9" * 30])
+
+
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(in_body=st.booleans(), where=st.floats(0, 1), size=st.integers(0, 30), scrap=SCRAPS)
+def test_whatever_is_wrong_is_a_settings_error(
+    folder: Path, in_body: bool, where: float, size: int, scrap: str
+) -> None:
+    files = {"elbow.xml": BODY, "robot.toml": ROBOT}
+    name = "elbow.xml" if in_body else "robot.toml"
+    at = round(where * len(files[name]))
+    files[name] = files[name][:at] + scrap + files[name][at + size :]
+    for file, text in files.items():
+        (folder / file).write_text(text, encoding="utf-8")
+    try:
+        load_robot("robot.toml")
+    except SettingsError as error:
+        assert re.match(r"robot\.toml:\d+: .+", str(error))
+        assert "\n" not in str(error)
 
 
 PATH = ROBOT[ROBOT.index("attachment") : ROBOT.index("\n[[task]]")]
