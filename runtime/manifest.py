@@ -31,10 +31,10 @@ def processes_of(settings: RobotSettings) -> tuple[Spec, ...]:
     return (
         *world,
         *drivers,
+        Spec("recorder", Restart.ON_FAILURE),  # early, so that it is stopped late
         Spec("estimator"),
         Spec("executive"),
         Spec("retrainer", nice=10),  # learning never takes the processor from control
-        Spec("recorder", Restart.ON_FAILURE),
         *((Spec("viz", Restart.ON_FAILURE, nice=5),) if can_view() else ()),
     )
 

@@ -1,0 +1,48 @@
+# `make` lists the targets. `make test` is what CI runs.
+
+PYTHON ?= $(firstword $(shell command -v python3.11) python3)
+BIN := .venv/bin
+PACKAGES := runtime services hardware_sim dashboard experiments
+STAMP := .venv/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test check format bench experiments clean
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+
+setup: $(STAMP)  ## make .venv with everything in it
+
+# torch first and alone: its wheel decides about what the rest must fit.
+$(STAMP): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt torch
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt \
+		--editable ".[sim,learn,view,dev]"
+	touch $@
+
+demo: setup  ## the whole story in one go: three muscles, a fourth is plugged in, the arm relearns
+	$(BIN)/myograft demo
+
+check: setup  ## format, lint, types, floors
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+test: check  ## check, then every test
+	$(BIN)/pytest --quiet --durations=10
+
+format: setup  ## put the code into shape
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: setup  ## measure the budgets
+	$(BIN)/pytest --quiet --capture=no tests/bench
+
+experiments: setup  ## repeat the paper's experiments
+	$(BIN)/python -m experiments
+
+clean:  ## remove what was built, keep .venv
+	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find $(PACKAGES) tests -name __pycache__ -type d -prune -exec rm -rf {} +

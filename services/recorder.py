@@ -1,0 +1,46 @@
+"""Process: every message of the robot to an MCAP file in the run's folder.
+
+The raw bytes of the simulated line are left out, being four fifths of the traffic, unless
+MYOGRAFT_RECORD_LINE is set.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import time
+from pathlib import Path
+
+from runtime.bus import Question
+from runtime.journal import Journal
+from runtime.messages import BusReply, BusRequest, Message
+from runtime.process import Launch
+from runtime.topics import TOPICS
+
+WAIT_S = 0.2
+
+
+def main(launch: Launch) -> None:
+    """Record until told to stop."""
+    line = () if os.environ.get("MYOGRAFT_RECORD_LINE") else (BusRequest, BusReply)
+    kinds: list[type[Message]] = [row.message for row in TOPICS if row.message not in line]
+    with (
+        launch.open_bus() as member,
+        Journal(_free_file(launch.run_dir), launch.settings.name) as journal,
+    ):
+        member.subscribe(*kinds, every=True)
+        member.ready()
+        while not member.stopping:
+            items = member.wait(WAIT_S)
+            wall_ns = time.time_ns()
+            for item in items:
+                if not isinstance(item, Question):
+                    journal.write(item, wall_ns)
+            journal.flush_if_due(wall_ns)
+            member.beat(member.now_ns() or 0)
+
+
+def _free_file(folder: Path) -> Path:
+    """`messages.mcap`; after a restart `messages-2.mcap`, for nothing is overwritten."""
+    names = itertools.chain(["messages.mcap"], (f"messages-{n}.mcap" for n in itertools.count(2)))
+    return next(path for path in (folder / name for name in names) if not path.exists())

@@ -1,0 +1,87 @@
+"""Journals: what is written is read, also after a kill."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from runtime.journal import Journal, JournalError, read
+from runtime.messages import ChainBody, Event, ExecutiveState, Message, SchemaVersion
+
+SECOND = 1_000_000_000
+
+
+def some_messages(n: int) -> list[Message]:
+    body = ChainBody(stamp_ns=1, chain="arm", modules=())
+    schema = SchemaVersion(version=1, joints=("e",), muscles=(), method="iii", data=b"\x00\xff")
+    states = [ExecutiveState(stamp_ns=i, stage="hold", step=i) for i in range(n)]
+    return [body, schema, *states]
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    written = some_messages(20)
+    path = tmp_path / "messages.mcap"
+    with Journal(path, "elbow") as journal:
+        for i, message in enumerate(written):
+            journal.write(message, wall_ns=i)
+    entries = list(read(path))
+    assert [entry.message for entry in entries] == written
+    assert entries[0].key == "elbow/chain/arm/body"
+    assert entries[-1].wall_ns == len(written) - 1
+
+
+def test_other_peoples_tools_read_it(tmp_path: Path) -> None:
+    path = tmp_path / "messages.mcap"
+    with Journal(path, "elbow") as journal:
+        for message in some_messages(3):
+            journal.write(message, wall_ns=5)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 5
+    assert {schema.name for schema in summary.schemas.values()} >= {"ChainBody", "ExecutiveState"}
+
+
+def test_a_kill_costs_at_most_the_last_second(tmp_path: Path) -> None:
+    path = tmp_path / "messages.mcap"
+    journal = Journal(path, "elbow")  # never closed, as after kill -9
+    for i in range(35):
+        journal.write(ExecutiveState(stage="hold", step=i), wall_ns=SECOND + i * SECOND // 10)
+    on_disk = path.read_bytes()  # what the kernel has; the rest dies with the process
+    found = list(read(path))
+    assert 25 <= len(found) <= 35
+    for torn in (len(on_disk) - 1, len(on_disk) - 100, len(on_disk) // 2):
+        short = tmp_path / f"{torn}.mcap"
+        short.write_bytes(on_disk[:torn])
+        assert [e.message for e in read(short)] == [e.message for e in found][
+            : len(list(read(short)))
+        ]
+    assert list(read(tmp_path / f"{len(on_disk) // 2}.mcap"))
+    journal.__exit__(None, None, None)
+
+
+def test_a_quiet_robot_is_flushed_too(tmp_path: Path) -> None:
+    with Journal(tmp_path / "messages.mcap", "elbow") as journal:
+        event = Event(process="p", level="info", kind="k", text="t")
+        journal.write(event, wall_ns=SECOND)
+        journal.write(event, wall_ns=SECOND + 1)
+        journal.flush_if_due(wall_ns=2 * SECOND + 1)
+        assert len(list(read(journal.path))) == 2
+
+
+def test_never_overwrites(tmp_path: Path) -> None:
+    path = tmp_path / "messages.mcap"
+    path.write_bytes(b"something dear")
+    with pytest.raises(FileExistsError):
+        Journal(path, "elbow")
+
+
+@pytest.mark.parametrize("content", [b"", b"no mcap", b"no mcap file at all"])
+def test_what_is_no_journal_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "messages.mcap"
+    path.write_bytes(content)
+    with pytest.raises(JournalError):
+        list(read(path))
