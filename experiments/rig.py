@@ -10,8 +10,6 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import numpy as np
-
 from hardware_sim.robot import SimulatedRobot
 from runtime import messages as m
 from runtime.logic import Logic, MemoryStore
@@ -23,6 +21,7 @@ from services.logic.muscle_driver import MuscleDriver
 from services.logic.retrainer import Retrainer
 from services.logic.skeleton import Skeleton
 
+TRUTH_EVERY_MS = 5
 LINE_SLACK_NS = 1_000_000  # a reply that is out within the step is heard within the step
 
 
@@ -111,6 +110,10 @@ class Rig:
         """One millisecond."""
         self.robot.step()
         now_ns = self.robot.now_ns
+        if self.watchers and now_ns % (TRUTH_EVERY_MS * 1_000_000) == 0:
+            truth = self.robot.truth()
+            for watcher in self.watchers:
+                watcher(truth)
         while self._replies and self._replies[0][0] <= now_ns:
             self._publish([self._replies.popleft()[1]])
         for _ in range(8):  # answers to answers within the step: ends as logics fall silent
@@ -156,11 +159,6 @@ def shipped_schema(settings: RobotSettings) -> bytes | None:
     """Bytes of the schema that ships with the robot, if it is there."""
     path = settings.schema_file
     return path.read_bytes() if path is not None and path.exists() else None
-
-
-def angles_deg(message: m.WorldTruth) -> list[float]:
-    """True joint angles in degrees."""
-    return [float(np.degrees(angle)) for angle in message.angle_rad]
 
 
 def _at_once(job: Callable[[], Any]) -> Any:

@@ -60,6 +60,16 @@ class Plant:
         return np.asarray(self.data.qpos[self._qpos])
 
     @property
+    def velocity_rad_s(self) -> Array:
+        """True joint velocities, shape (N,)."""
+        return np.asarray(self.data.qvel[self._dof])
+
+    @property
+    def range_rad(self) -> Array:
+        """Limits of the joints, shape (N, 2)."""
+        return np.array([self.model.joint(name).range for name in self.joints])
+
+    @property
     def wire_length_m(self) -> Array:
         """Wire paid out from each spool (the spring's rest length), shape (M,)."""
         return np.asarray(self._rest_length.copy())

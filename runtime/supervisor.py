@@ -49,6 +49,7 @@ class Group:
         seed: of everything random.
         only: start these of the robot's processes only.
         run_dir: of this run; by default a new one under the robot's state folder.
+        state_dir: what outlives the run; by default the robot's own. A new folder is a new robot.
         processes: other processes than the robot's own: for tests.
         policy: of restarts.
         say: takes lines meant for a person.
@@ -65,14 +66,15 @@ class Group:
         seed: int = 0,
         only: tuple[str, ...] = (),
         run_dir: Path | None = None,
+        state_dir: Path | None = None,
         processes: tuple[Spec, ...] | None = None,
         policy: BackoffPolicy | None = None,
         say: Callable[[str], None] = lambda line: None,
     ) -> None:
         self.settings = settings
         self.endpoint = ""
-        self.run_dir = run_dir or _new_run_dir(settings.name)
-        self._home = robot_home(settings.name)
+        self.run_dir = run_dir or new_run_dir(settings.name)
+        self._state_dir = state_dir or robot_home(settings.name) / "state"
         self._arguments = ["--speed", str(speed), "--seed", str(seed)]
         self._specs = _chosen(processes_of(settings) if processes is None else processes, only)
         self._policy = policy
@@ -290,7 +292,7 @@ class Group:
             *("--robot", self.settings.file),
             *("--name", self.settings.name),
             *("--run-dir", str(self.run_dir)),
-            *("--state-dir", str(self._home / "state")),
+            *("--state-dir", str(self._state_dir)),
             *("--endpoint", self.endpoint),
             *("--parent", str(os.getpid())),
             *self._arguments,
@@ -305,7 +307,8 @@ def _chosen(specs: tuple[Spec, ...], only: tuple[str, ...]) -> tuple[Spec, ...]:
     return tuple(spec for spec in specs if not only or spec.process in only)
 
 
-def _new_run_dir(robot: str) -> Path:
+def new_run_dir(robot: str) -> Path:
+    """A new folder for one run of a robot; `latest` points to it."""
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
     runs = robot_home(robot) / "runs"
     folder = runs / stamp

@@ -1,0 +1,28 @@
+"""`python -m experiments NAME`: what is measured or made in the rig."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+
+EXPERIMENTS = {
+    "learn": "a robot's first body schema, from motion under disturbed loads",
+    "grow": "the demo's sequence in the rig, for one or many seeds",
+}
+
+
+def main() -> int:
+    """Run one experiment."""
+    parser = argparse.ArgumentParser(prog="python -m experiments", description=__doc__)
+    commands = parser.add_subparsers(dest="experiment", required=True, metavar="NAME")
+    for name, text in EXPERIMENTS.items():
+        module = importlib.import_module(f"experiments.{name}")
+        module.configure(commands.add_parser(name, help=text, description=module.__doc__))
+    args = parser.parse_args()
+    module = importlib.import_module(f"experiments.{args.experiment}")
+    return int(module.run(args))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,184 @@
+"""The `myograft demo` command."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # the command is listed without importing what it runs
+    from experiments.score import Score
+    from experiments.sequence import Result, Trace
+    from experiments.session import Session
+
+PAPER = {"before": ("0.0214", "7.74", "-"), "after": ("0.0245", "3.54", "-")}
+
+
+class Demo:
+    """Sweep, plug in a muscle, let the robot learn it, sweep again.
+
+    Starts a new robot's process group, moves the arm through its sweep, plugs the spare muscle into
+    the running daisy chain, lets the robot take it in and relearn its body schema, sweeps again,
+    and parks. Ends with a table, a recording (.rrd) and a picture (.png).
+
+    examples:
+      myograft demo
+      myograft demo --view             watch it live in Rerun
+      myograft demo --speed 2          robot time twice as fast as wall time
+      myograft demo --seed 3 --json result.json
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Arguments."""
+        parser.add_argument("robot", nargs="?", default="elbow", help="robot or robot file")
+        parser.add_argument("--name", default="", help="another name than the robot file's")
+        parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
+        parser.add_argument("--view", action="store_true", help="open the live Rerun view")
+        parser.add_argument("--speed", type=float, default=1.0, help="robot time over wall time")
+        parser.add_argument(
+            "--seed", type=int, default=0, help="noise, motions, and where the muscle is fixed"
+        )
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Run it; 0 when the robot grew."""
+        from experiments.session import SessionError
+        from runtime.bus import BusError
+        from runtime.hubs import HubError
+
+        if not 0.05 <= args.speed <= 20.0:
+            print("myograft demo: --speed is from 0.05 to 20", file=sys.stderr)
+            return 2
+        try:
+            return _demo(args)
+        except (SessionError, HubError, BusError) as error:
+            print(f"myograft demo: {error}", file=sys.stderr)
+            return 1
+        except KeyboardInterrupt:
+            print("\nmyograft demo: interrupted; the robot was stopped", file=sys.stderr)
+            return 130
+
+
+def _demo(args: argparse.Namespace) -> int:
+    from experiments.live import live_session
+    from experiments.progress import bars
+    from experiments.sequence import Trace, run_sequence
+    from runtime.settings import load_robot
+    from runtime.supervisor import new_run_dir
+
+    settings = load_robot(args.robot, args.name)
+    if not settings.spare:
+        print(f"{settings.file}: no [[spare]] to plug in; add one", file=sys.stderr)
+        return 2
+    run_dir = new_run_dir(settings.name)
+    trace = Trace(settings)
+    start = time.monotonic()
+    with ExitStack() as stack:
+        session = stack.enter_context(
+            live_session(settings, speed=args.speed, seed=args.seed, run_dir=run_dir)
+        )
+        print(
+            f"'{settings.name}' is up after {time.monotonic() - start:.1f} s: "
+            f"{len(settings.muscles)} muscles on its daisy chain, recording in {run_dir}",
+            flush=True,
+        )
+        if args.view:
+            _open_view(session, stack)
+        narrate = stack.enter_context(bars())
+        result = run_sequence(session, trace, narrate)
+    recording = next(iter(sorted(run_dir.glob("*.rrd"))), None)
+    picture = _draw(settings.name, run_dir, trace, result)
+    figures = {
+        "before": _figures(result.before),
+        "after": _figures(result.after),
+        "n_new": result.n_new,
+        "plug_to_resumed_s": round(result.plug_to_resumed_s, 3),
+        "relearn_s": round(result.relearn_s, 3),
+        "recording": str(recording or ""),
+        "summary_png": str(picture),
+    }
+    _print(result, figures, time.monotonic() - start)
+    if args.json:
+        args.json.write_text(json.dumps(figures, indent=2) + "\n")
+    return 0
+
+
+def _figures(score: Score) -> dict[str, float]:
+    return {name: round(value, 5) for name, value in asdict(score).items()}
+
+
+def _rows(result: Result) -> list[tuple[str, ...]]:
+    before, after = result.before, result.after
+
+    def row(name: str, unit: str, field: str, digits: int, paper: int) -> tuple[str, ...]:
+        b, a = getattr(before, field), getattr(after, field)
+        return (
+            f"{name} [{unit}]",
+            f"{b:.{digits}f}",
+            f"{a:.{digits}f}",
+            f"{a / b:.2f}",
+            f"{PAPER['before'][paper]} -> {PAPER['after'][paper]}" if paper < 2 else "",
+        )
+
+    return [
+        ("", "before", "after", "ratio", "paper, (i) N=15"),
+        row("E_theta", "rad", "e_theta_rad", 4, 0),
+        row("sigma_f", "N", "sigma_f_n", 2, 1),
+        row("peak tension", "N", "peak_tension_n", 1, 2),
+    ]
+
+
+def _print(result: Result, figures: dict[str, Any], wall_s: float) -> None:
+    rows = _rows(result)
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    print()
+    for row in rows:
+        first = row[0].ljust(widths[0])
+        rest = "   ".join(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))
+        print(f"{first}   {rest}".rstrip())
+    print()
+    print(f"from plug to resumed motion  {figures['plug_to_resumed_s']:.1f} s of robot time")
+    print(f"relearning                   {figures['relearn_s']:.1f} s, {figures['n_new']} motions")
+    print(f"greatest true tension        {result.peak_tension_n:.0f} N at any instant")
+    print(f"everything                   {wall_s:.0f} s of wall time")
+    print(f"recording                    {figures['recording']}")
+    print(f"picture                      {figures['summary_png']}")
+
+
+def _draw(name: str, run_dir: Path, trace: Trace, result: Result) -> Path:
+    from dashboard.summary import draw_summary
+
+    path = run_dir / "summary.png"
+    rows = [row[:3] for row in _rows(result)]
+    draw_summary(
+        path,
+        time_s=trace.time_s,
+        angle_deg=trace.angle_deg,
+        tension_n=trace.tensions(),
+        marks=trace.marks,
+        table=rows,
+        title=f"{name}: a muscle is added while the robot runs",
+    )
+    return path
+
+
+def _open_view(session: Session, stack: ExitStack) -> None:
+    from dashboard.viewer import ViewerError, open_view
+    from runtime.messages import Event, Message
+
+    def announced(message: Message) -> bool:
+        return isinstance(message, Event) and message.kind == "viewer"
+
+    event = session.wait(announced, 20.0, "the viz process announcing its view")
+    assert isinstance(event, Event)
+    try:
+        viewer = stack.enter_context(open_view(event.data["url"]))
+    except ViewerError as error:
+        print(f"myograft demo: no view: {error}", file=sys.stderr)
+        return
+    if viewer.address:
+        print(f"watch it at {viewer.address}", flush=True)

@@ -1,0 +1,93 @@
+"""`python -m experiments learn`: a robot's first body schema, made in the rig from its robot file."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from experiments.collect import Recording, collect_old
+from experiments.progress import bars
+from runtime.settings import load_robot
+from services.body_schema.motions import SLACK_N
+from services.body_schema.schema import Schema
+
+HELD_OUT_EVERY = 10
+DURATION_S = 500.0
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Options of `learn`."""
+    parser.add_argument("robot", nargs="?", default="elbow", help="robot or robot file")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--seconds", type=float, default=DURATION_S, help="robot time of motion to learn from"
+    )
+    parser.add_argument("--out", type=Path, help="default: the robot file's schema")
+    parser.add_argument("--quick", action="store_true", help="a tenth of motion and training")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Collect, train, print the residuals on held-out samples, write the schema."""
+    settings = load_robot(args.robot)
+    out = args.out or settings.schema_file
+    if out is None:
+        print(f"{settings.file}: [robot] names no schema; give --out FILE")
+        return 2
+    seconds = args.seconds / (10 if args.quick else 1)
+    start = time.monotonic()
+    with bars() as narrate:
+        recording = collect_old(
+            settings, args.seed, seconds, lambda s: narrate("collect", round(100 * s), 100)
+        )
+        schema = learn_old(
+            recording,
+            args.seed,
+            quick=args.quick,
+            progress=lambda epoch, epochs, *_: narrate("train", epoch, epochs),
+        )
+    length_mm, angle_rad = held_out(schema, recording)
+    words = ", ".join(f"{n} {v:.2f} mm" for n, v in zip(schema.muscles, length_mm, strict=True))
+    print(f"held-out samples: length (mask 110) {words}; angle (mask 011) {angle_rad:.4f} rad")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_bytes(schema.to_bytes())
+    print(f"{out.stat().st_size / 1000:.0f} kB in {out}, after {time.monotonic() - start:.0f} s")
+    return 0
+
+
+def learn_old(recording: Recording, seed: int, *, quick: bool = False, progress=None) -> Schema:  # type: ignore[no-untyped-def]
+    """Train h_old on what was recorded, but for every tenth sample."""
+    from dataclasses import replace
+
+    from services.body_schema.train import OLD, train_old
+
+    theta, f, length, held = _taut(recording)
+    recipe = replace(OLD, steps=OLD.steps // 10) if quick else OLD
+    return train_old(
+        recording.joints,
+        recording.muscles,
+        theta[~held],
+        f[~held],
+        length[~held],
+        seed=seed,
+        recipe=recipe,
+        progress=progress,
+    )
+
+
+def held_out(schema: Schema, recording: Recording) -> tuple[list[float], float]:
+    """Rms residuals on the samples left out: lengths by muscle [mm], angles in all [rad]."""
+    theta, f, length, held = _taut(recording)
+    length_m = schema.lengths(theta[held], f[held]) - length[held]
+    angle_rad = schema.estimate(f[held], length[held]) - theta[held]
+    rms_mm = np.sqrt(np.mean(length_m**2, axis=0)) * 1e3
+    return rms_mm.tolist(), float(np.sqrt(np.mean(angle_rad**2)))
+
+
+def _taut(recording: Recording):  # type: ignore[no-untyped-def]
+    taut = (recording.tension_n >= SLACK_N).all(axis=1)
+    theta, f = recording.angle_rad[taut], recording.tension_n[taut]
+    held = np.arange(len(theta)) % HELD_OUT_EVERY == 0
+    return theta, f, recording.length_m[taut], held

@@ -1,0 +1,193 @@
+"""The demo's sequence: sweep, plug a muscle while the arm holds a posture, grow, sweep again, park.
+
+Written against `Session`, so that the live group and the rig run the very same script.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from experiments.score import Score, SweepScorer
+from experiments.session import Session, SessionError
+from runtime import messages as m
+from runtime.messages import Message
+from runtime.settings import RobotSettings
+
+HOLD_SHARE = 0.5  # of the joint range at which the arm holds while the muscle is plugged in
+GROWTH_LIMIT_S = 240.0
+TASK_LIMIT_S = 300.0
+TRACE_NS = 50_000_000
+
+Narrate = Callable[[str, int, int], None]  # what is being done, step, steps
+
+
+@dataclass
+class Trace:
+    """Angles and tensions over time, for the picture; one row each 50 ms of robot time."""
+
+    settings: RobotSettings
+    time_s: list[float] = field(default_factory=list)
+    angle_deg: dict[str, list[float]] = field(
+        default_factory=lambda: {"reference": [], "measured": [], "true": []}
+    )
+    tension_n: list[dict[str, float]] = field(default_factory=list)
+    marks: list[tuple[float, str]] = field(default_factory=list)
+    _reference: float = float("nan")
+    _measured: float = float("nan")
+    _chains: dict[str, m.ChainState] = field(default_factory=dict)
+    _stage: str = ""
+    _next_ns: int = 0
+
+    def see(self, message: Message) -> None:
+        """Take in what comes by."""
+        if isinstance(message, m.ExecutiveState):
+            if message.reference_rad:
+                self._reference = float(np.degrees(message.reference_rad[0]))
+            if message.growing and message.stage != self._stage:
+                if message.stage in ("collect", "relearn", "adopt", "resume"):
+                    self.marks.append((message.stamp_ns * 1e-9, message.stage))
+                self._stage = message.stage
+        elif isinstance(message, m.JointState):
+            self._measured = float(np.degrees(message.angle_rad[0]))
+        elif isinstance(message, m.ChainState):
+            self._chains[message.chain] = message
+        elif isinstance(message, m.Event) and message.kind == "plugged":
+            self.marks.append((message.stamp_ns * 1e-9, "plug"))
+        elif isinstance(message, m.WorldTruth) and message.stamp_ns >= self._next_ns:
+            self._next_ns = message.stamp_ns + TRACE_NS
+            self.time_s.append(message.stamp_ns * 1e-9)
+            self.angle_deg["reference"].append(self._reference)
+            self.angle_deg["measured"].append(self._measured)
+            self.angle_deg["true"].append(float(np.degrees(message.angle_rad[0])))
+            self.tension_n.append(
+                {
+                    name: tension
+                    for state in self._chains.values()
+                    for name, tension in zip(state.muscles, state.tension_n, strict=True)
+                }
+            )
+
+    def tensions(self) -> dict[str, list[float]]:
+        """Muscle -> tension over time; NaN while it is not there."""
+        names = dict.fromkeys(name for row in self.tension_n for name in row)
+        return {n: [row.get(n, float("nan")) for row in self.tension_n] for n in names}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What the demo shows."""
+
+    before: Score
+    after: Score
+    n_new: int
+    plug_to_resumed_s: float  # robot time
+    relearn_s: float  # wall time
+    peak_tension_n: float  # of any muscle, at any 1 ms step, everything included
+    peak_target_speed_m_s: float  # of any module's target length, likewise
+
+
+def run_sequence(session: Session, trace: Trace, narrate: Narrate, spare: str = "") -> Result:
+    """Run the whole sequence; the arm ends parked.
+
+    Raises:
+        SessionError: the robot refused something, or did not finish it.
+    """
+    settings = session.settings
+    spare = spare or settings.spare[0].name
+    session.watchers.append(trace.see)
+    session.wait(_in_stage("hold"), 60.0, "the arm holding")
+    before = _sweep(session, narrate, "sweep before")
+
+    middle = {joint.name: HOLD_SHARE * np.radians(120.0) for joint in settings.joint}
+    session.ask(m.Reach(angle_rad=middle))
+    session.wait(_settled, 20.0, "the arm holding a posture")
+    candidates: list[m.SchemaCandidate] = []
+    session.watchers.append(
+        lambda message: candidates.append(message)
+        if isinstance(message, m.SchemaCandidate)
+        else None
+    )
+    progress = _GrowthProgress(narrate)
+    session.watchers.append(progress.see)
+    session.ask(m.Plug(muscle=spare))
+    done = session.wait(_growth_over, GROWTH_LIMIT_S, "the body taking the muscle in")
+    session.watchers.remove(progress.see)
+    assert isinstance(done, m.Event)
+    if done.kind != "grow_done":
+        raise SessionError(done.text)
+    plugged_s = next(t for t, label in trace.marks if label == "plug")
+
+    after = _sweep(session, narrate, "sweep after")
+    narrate("park", 0, 1)
+    session.ask(m.Task(name="park"))
+    session.wait(_event("task_done"), 30.0, "the arm parking")
+    narrate("park", 1, 1)
+    truth = session.wait(lambda x: isinstance(x, m.WorldTruth), 5.0, "the world's truth")
+    assert isinstance(truth, m.WorldTruth)
+    return Result(
+        before=before,
+        after=after,
+        n_new=settings.growth.n_new,
+        plug_to_resumed_s=done.stamp_ns * 1e-9 - plugged_s,
+        relearn_s=candidates[-1].train_s if candidates else float("nan"),
+        peak_tension_n=max(truth.peak_tension_n),
+        peak_target_speed_m_s=max(truth.peak_target_speed_m_s),
+    )
+
+
+def _sweep(session: Session, narrate: Narrate, title: str) -> Score:
+    scorer = SweepScorer(session.settings, "sweep")
+    steps = [0]
+
+    def watch(message: Message) -> None:
+        scorer.see(message)
+        if isinstance(message, m.ExecutiveState) and message.task == "sweep":
+            if message.step != steps[0]:
+                steps[0] = message.step
+                narrate(title, message.step - 1, message.steps)
+
+    session.watchers.append(watch)
+    session.ask(m.Task(name="sweep"))
+    session.wait(_event("task_done"), TASK_LIMIT_S, "the sweep")
+    session.watchers.remove(watch)
+    narrate(title, 1, 1)
+    try:
+        return scorer.score
+    except ValueError as error:
+        raise SessionError(str(error)) from error
+
+
+class _GrowthProgress:
+    """Tells how far joining, collecting and relearning are."""
+
+    def __init__(self, narrate: Narrate) -> None:
+        self._narrate = narrate
+        self._last: tuple[str, int] = ("", -1)
+
+    def see(self, message: Message) -> None:
+        if isinstance(message, m.ExecutiveState) and message.growing:
+            now = (message.stage, message.step)
+            if now != self._last and message.stage != "relearn":
+                self._narrate(*now, message.steps)
+            self._last = now
+        elif isinstance(message, m.TrainingProgress) and message.epochs:
+            self._narrate("relearn", message.epoch, message.epochs)
+
+
+def _in_stage(stage: str) -> Callable[[Message], bool]:
+    return lambda message: isinstance(message, m.ExecutiveState) and message.stage == stage
+
+
+def _event(kind: str) -> Callable[[Message], bool]:
+    return lambda message: isinstance(message, m.Event) and message.kind == kind
+
+
+def _settled(message: Message) -> bool:
+    return isinstance(message, m.ExecutiveState) and message.settled and message.stage == "hold"
+
+
+def _growth_over(message: Message) -> bool:
+    return isinstance(message, m.Event) and message.kind in ("grow_done", "grow_failed")

@@ -1,0 +1,73 @@
+"""Someone who uses a robot: asks, waits, watches. The same script drives the rig and a live group."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from experiments.rig import Rig, RigTimeout
+from runtime.messages import Message, Reply
+from runtime.settings import RobotSettings
+
+
+class SessionError(RuntimeError):
+    """The robot refused, or what was waited for did not come; the text says what."""
+
+
+class Session(Protocol):
+    """A robot to talk to.
+
+    Attributes:
+        settings: its robot file.
+        watchers: each is called with every message that comes by.
+    """
+
+    settings: RobotSettings
+    watchers: list[Callable[[Message], None]]
+
+    def ask(self, request: Message) -> Reply:
+        """Put a request; raises `SessionError` when it is refused or nobody answers."""
+
+    def wait(self, done: Callable[[Message], bool], limit_s: float, what: str) -> Message:
+        """The first message for which `done` holds, within some seconds of robot time.
+
+        Raises:
+            SessionError: none came.
+        """
+
+
+class RigSession:
+    """A robot in the rig."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.settings = rig.settings
+        self.watchers: list[Callable[[Message], None]] = []
+        rig.watchers.append(self._hear)
+        self._done: Callable[[Message], bool] | None = None
+        self._found: Message | None = None
+
+    def ask(self, request: Message) -> Reply:
+        """As `Session.ask`."""
+        reply = self.rig.ask(request)
+        if not reply.ok:
+            raise SessionError(reply.text)
+        return reply
+
+    def wait(self, done: Callable[[Message], bool], limit_s: float, what: str) -> Message:
+        """As `Session.wait`."""
+        self._done, self._found = done, None
+        try:
+            self.rig.run_until(lambda: self._found is not None, limit_s, what)
+        except RigTimeout as error:
+            raise SessionError(str(error)) from error
+        finally:
+            self._done = None
+        assert self._found is not None
+        return self._found
+
+    def _hear(self, message: Message) -> None:
+        for watcher in self.watchers:
+            watcher(message)
+        if self._done is not None and self._found is None and self._done(message):
+            self._found = message
