@@ -7,7 +7,7 @@ happened. Plots show the last seconds and follow; ids of views stay the same ove
 from __future__ import annotations
 
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import rerun as rr
@@ -22,7 +22,9 @@ LANES_S = 60.0
 _VIEWS = uuid.UUID("6d796f67-7261-6674-0000-000000000000")  # view ids stay over restarts
 
 
-def layout(joints: Sequence[str], low_m: Floats, high_m: Floats) -> rrb.Blueprint:
+def layout(
+    ranges_deg: Mapping[str, tuple[float, float] | None], low_m: Floats, high_m: Floats
+) -> rrb.Blueprint:
     """The whole screen for a robot with these joints whose body fills this box (m)."""
     return rrb.Blueprint(
         rrb.Vertical(
@@ -36,14 +38,16 @@ def layout(joints: Sequence[str], low_m: Floats, high_m: Floats) -> rrb.Blueprin
                     row_shares=[3.4, 1],
                 ),
                 rrb.Vertical(
-                    _angles(joints),
+                    _angles(ranges_deg),
                     rrb.Tabs(
-                        _plot("Tension (N)", "/tension", "/limit/tension"),
-                        _plot("Planned tension (N)", "/planned"),
+                        _plot("Tension (N)", "/tension", "/limit/tension", "/limit/zero"),
+                        _plot("Planned tension (N)", "/planned", "/limit/zero"),
                         name="tension",
                     ),
                     rrb.Tabs(
-                        _plot("Length error, target - measured (mm)", "/length_error"),
+                        _plot(
+                            "Length error, target - measured (mm)", "/length_error", "/limit/zero"
+                        ),
                         _plot("Anomaly (times usual residual)", "/anomaly", "/limit/anomaly"),
                         _plot("Training loss (log10)", "/training", window_s=120.0),
                         _plot("Temperature (°C)", "/temperature", window_s=300.0),
@@ -90,7 +94,13 @@ def _visible(seconds: float) -> rrb.VisibleTimeRange:
     return rrb.VisibleTimeRange(TIMELINE, start=cursor(seconds=-seconds), end=cursor())
 
 
-def _plot(name: str, *paths: str, window_s: float = WINDOW_S) -> rrb.View:
+def _plot(
+    name: str,
+    *paths: str,
+    window_s: float = WINDOW_S,
+    shown: tuple[float, float] | None = None,
+) -> rrb.View:
+    """Curves over the last seconds; `shown` is the range of values that is worth the height."""
     return _named(
         paths[0],
         rrb.TimeSeriesView(
@@ -98,14 +108,20 @@ def _plot(name: str, *paths: str, window_s: float = WINDOW_S) -> rrb.View:
             contents=list(paths),
             name=name,
             axis_x=rrb.TimeAxis(view_range=_window(window_s), zoom_lock=True),
+            axis_y=rrb.ScalarAxis(range=shown),
             time_ranges=[_visible(window_s)],
             plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
         ),
     )
 
 
-def _angles(joints: Sequence[str]) -> rrb.View | rrb.Container:
-    plots = [_plot(f"Angle of {joint} (deg)", f"/angle/{joint}") for joint in joints]
+def _angles(
+    ranges_deg: Mapping[str, tuple[float, float] | None],
+) -> rrb.View | rrb.Container:
+    plots = [
+        _plot(f"Angle of {joint} (deg)", f"/angle/{joint}", shown=shown)
+        for joint, shown in ranges_deg.items()
+    ]
     return plots[0] if len(plots) == 1 else rrb.Tabs(*plots, name="angles")
 
 

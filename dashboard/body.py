@@ -6,6 +6,7 @@ the MJCF's tendons, and the robot file's spares once they are plugged. Nothing h
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import mujoco
@@ -111,6 +112,15 @@ class Body:
             vertices_m=vertices,
             faces=faces,
         )
+
+    def ranges_deg(self, joints: Iterable[str]) -> dict[str, tuple[float, float] | None]:
+        """How far each of these joints can turn; None where that is not limited."""
+        ranges: dict[str, tuple[float, float] | None] = {}
+        for name in joints:
+            joint = self._model.joint(name)
+            low, high = np.rad2deg(joint.range).tolist()
+            ranges[name] = (low, high) if low < high else None
+        return ranges
 
     def bounds_m(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner of everything that is drawn, in the world, in m."""

@@ -53,6 +53,7 @@ class Plots:
                 (1.5, 2.5, 1.5, 0.6, 0.6),
             )
         self._track("/limit/tension", FAST_NS, ("limit",), (LIMIT,))
+        self._track("/limit/zero", SLOW_NS, ("zero",), (REFERENCE,), (0.5,))
         self._track("/limit/anomaly", SLOW_NS, ("odd above",), (LIMIT,))
         self._track(
             "/training",
@@ -141,6 +142,7 @@ class Plots:
         limit = self._tension_limit_n if near else math.nan
         self._tracks["/limit/tension"].add(stamp_ns, np.array([limit]))
         if self._tracks["/temperature"].due(stamp_ns):
+            self._tracks["/limit/zero"].add(stamp_ns, np.zeros(1))  # else noise fills the plot
             temperature = self.muscles.empty()
             for chain in chains:
                 self.muscles.fill(temperature, chain.muscles, chain.temperature_degc)

@@ -33,7 +33,7 @@ def main(launch: Launch) -> None:
     canvas = RerunCanvas(
         settings.name,
         launch.run_dir.name,
-        layout(settings.joints, *body.bounds_m()),
+        layout(body.ranges_deg(settings.joints), *body.bounds_m()),
         segment_file(launch.run_dir, settings.name),
         free_port(),
     )

@@ -64,7 +64,8 @@ def draw(file: Path, seconds: float) -> None:
 
     settings = load_robot("elbow")
     body = Body(settings)
-    canvas = RerunCanvas("elbow", "made-up", layout(settings.joints, *body.bounds_m()), file)
+    picture = layout(body.ranges_deg(settings.joints), *body.bounds_m())
+    canvas = RerunCanvas("elbow", "made-up", picture, file)
     stream = Stream(settings, canvas, body)
     for now_ns, message in run(seconds):
         stream.receive(message, now_ns)
