@@ -32,7 +32,7 @@ NEEDS_VULKAN = pytest.mark.skipif(
     not VULKAN,
     reason="the viewer draws by Vulkan: apt-get install mesa-vulkan-drivers libvulkan1",
 )
-SPEED = 20.0
+SPEED = 10.0
 
 
 def contents(file: Path) -> tuple[str, Counter[str], set[str]]:
@@ -176,7 +176,11 @@ def test_process_draws_dies_and_goes_on_in_a_new_file(hub: tuple[Bus, str], tmp_
     try:
         await_ready(bus, process)
         heard = play(bus, 0.0, 10.0)
-        (viewer,) = (e for e in heard if isinstance(e, m.Event) and e.kind == "viewer")
+        deadline = time.monotonic() + 10.0
+        while not (told := [e for e in heard if isinstance(e, m.Event) and e.kind == "viewer"]):
+            assert time.monotonic() < deadline, "viz does not tell its address"
+            heard += [x for x in bus.wait(0.5) if isinstance(x, m.Message)]
+        (viewer,) = told
         assert (tmp_path / "run-1" / "elbow.viewer").read_text() == viewer.data["url"]
         bus.wait(0.5)
         end(process, signal.SIGKILL)
@@ -190,8 +194,8 @@ def test_process_draws_dies_and_goes_on_in_a_new_file(hub: tuple[Bus, str], tmp_
     first, rows, _ = contents(tmp_path / "run-1" / "elbow.rrd")
     second, more_rows, said = contents(tmp_path / "run-1" / "elbow-2.rrd")
     assert first == second == "elbow-run-1", "both open as one run"
-    assert rows["/tension"] > 50
-    assert more_rows["/tension"] > 50
+    assert rows["/tension"] > 10
+    assert more_rows["/tension"] > 10
     assert "collect" in said
 
 
