@@ -82,7 +82,7 @@ class PaperCanvas:
 class StickBody:
     """A body of one link whose wires are straight."""
 
-    links = ("stick",)
+    links: tuple[str, ...] = ("stick",)
 
     def __init__(self, spares: tuple[str, ...] = (ADDED,)) -> None:
         self.muscles: tuple[str, ...] = FIRST
