@@ -61,16 +61,16 @@ def plan(
     if not (low <= high).all() or not np.isfinite(theta_ref).all():
         raise ValueError(f"no plan between {low} and {high} N at {theta_ref} rad")
     f = low if f_start is None else np.minimum(np.maximum(f_start, low), high)
-    step, last_move = 1.0, np.inf
+    step, last_move = 1.0, np.zeros(m)
     for _ in range(ROUNDS):
         length, g = schema.lengths_and_jacobian(theta_ref, f)
         move = _smallest_tensions(g, torque_required_nm, low, high) - f
         size = float(np.abs(move).max())
         if size < CONVERGED_N:
             break
-        if size > 0.5 * last_move:  # swings to and fro, or creeps
-            step = max(0.5 * step, 0.05)
-        last_move = size
+        swings = float(move @ last_move) < 0.0
+        step = 0.5 * step if swings else min(1.4 * step, 1.0)
+        last_move = move
         f = f + step * move
     return Plan(
         tension_n=f,

@@ -25,7 +25,7 @@ RANGE_RAD = (0.0, 2.1)
 def stretch(f: Array) -> Array:
     """e(f) [m], by table."""
     e = np.linspace(0.0, 0.02, 4001)
-    return np.interp(f, 1000 * e + 7.5e7 * e**3, e)
+    return np.asarray(np.interp(f, 1000 * e + 7.5e7 * e**3, e))
 
 
 def lengths(theta: Array, f: Array) -> Array:
@@ -33,12 +33,12 @@ def lengths(theta: Array, f: Array) -> Array:
     m = f.shape[1]
     phase = PHASE_RAD[:m]
     swing = SWING_M[:m] * (np.cos(theta - phase) - np.cos(phase))
-    return ARM_M[:m] * theta + swing - stretch(f)
+    return np.asarray(ARM_M[:m] * theta + swing - stretch(f))
 
 
 def jacobian(theta: float, m: int) -> Array:
     """dl/dtheta (m, 1) [m/rad]."""
-    return (ARM_M[:m] - SWING_M[:m] * np.sin(theta - PHASE_RAD[:m]))[:, None]
+    return np.asarray(ARM_M[:m] - SWING_M[:m] * np.sin(theta - PHASE_RAD[:m]))[:, None]
 
 
 def random_data(count: int, m: int, seed: int) -> tuple[Array, Array, Array]:

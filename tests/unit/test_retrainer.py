@@ -15,10 +15,10 @@ from runtime import messages as m
 from runtime.logic import MemoryStore
 from runtime.settings import Control, Growth, Robot, RobotSettings
 from services.body_schema import train
-from services.body_schema.network import NetworkConfig, initial_weights
 from services.body_schema.schema import Schema
 from services.logic.retrainer import Retrainer
 from tests.unit import analytic_body as body
+from tests.unit.schemas import untrained
 
 SETTINGS = RobotSettings(
     robot=Robot(name="toy", body="none.xml"),
@@ -31,25 +31,7 @@ SETTINGS = RobotSettings(
 NEW = body.MUSCLES[3]
 
 
-def blank(muscles: tuple[str, ...], seed: int = 0) -> Schema:
-    """An untrained schema."""
-    count = len(muscles)
-    return Schema(
-        joints=body.JOINTS,
-        muscles=muscles,
-        weights=initial_weights(NetworkConfig(1, count, outer=20, inner=8), seed),
-        theta_scale_rad=np.ones(1),
-        tension_scale_n=np.full(count, 100.0),
-        length_scale_m=np.full(count, 0.03),
-        length_reference_m=np.zeros(count),
-        length_sigma_m=np.full(count, 1e-3),
-        angle_sigma_rad=np.ones(1),
-        theta_range_rad=np.array([body.RANGE_RAD]),
-        tension_range_n=np.tile([5.0, 120.0], (count, 1)),
-    )
-
-
-SHIPPED = blank(body.MUSCLES[:3]).to_bytes()
+SHIPPED = untrained().to_bytes()
 
 
 class Later:
