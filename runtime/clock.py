@@ -11,6 +11,7 @@ from typing import Protocol
 from runtime.messages import Clock
 
 AHEAD_NS = 50_000_000  # at most this much robot time is invented between two words of the world
+SLOWEST = 0.5  # robot seconds per wall second, unless fewer are asked for
 STALLED_S = 0.005  # how long to wait before looking again at a clock that stands
 
 
@@ -44,9 +45,10 @@ class RobotClock:
         self._told_ns = clock.stamp_ns
         self._told_at_ns = wall_ns
         self._incarnation = clock.incarnation
-        # A world that is too slow reaches less than it is asked for: do not run ahead of it.
-        reached = clock.real_time_factor
-        self._rate = min(clock.speed, reached) if reached > 0 else clock.speed
+        # A world that is too slow reaches less than it is asked for: do not run far ahead of it.
+        # Nor keep to what it reached: it waits for its masters, whose clock this is, and the two
+        # would never get faster again.
+        self._rate = min(clock.speed, max(2 * clock.real_time_factor, SLOWEST))
 
     def now(self, wall_ns: int) -> int | None:
         """Robot time: at most `AHEAD_NS` past the world's last word, never backwards."""

@@ -50,7 +50,7 @@ TOPICS = (
     Topic(m.TrainingProgress, "training/progress", 0),
     Topic(m.ExecutiveState, "executive/state", 50),
     Topic(m.Event, "event", 0, Keep.HISTORY),
-    Topic(m.Health, "health/{process}", 1),
+    Topic(m.Health, "health/{process}", 1, Keep.RETAINED),
     Topic(m.GroupState, "group", 1, Keep.RETAINED),
     Topic(m.WorldTruth, "world/truth", 200),
 )

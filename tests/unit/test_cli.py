@@ -1,0 +1,95 @@
+"""The command line: what it offers, and what it says when things are not as they should be."""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from runtime.cli.main import DONE, NOT_RUNNING, USAGE, _entries, _load, main
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+
+
+def test_every_command_of_the_table_is_there_and_teaches_with_examples(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main([]) == DONE
+    listed = capsys.readouterr().out
+    assert "(not installed)" not in listed
+    for name, entry in _entries().items():
+        command = _load(entry)
+        assert f"  {name} " in listed
+        assert command.__doc__
+        assert f"myograft {name}" in command.__doc__, f"{name} --help shows no example"
+        command.configure(argparse.ArgumentParser())
+
+
+def test_the_list_imports_no_floor() -> None:
+    script = (
+        "import sys\nfrom runtime.cli.main import main\nmain(['--help'])\n"
+        "heavy = {'zenoh', 'numpy', 'msgspec', 'torch', 'mujoco', 'rerun', 'services.commands'}\n"
+        "sys.exit(', '.join(heavy & set(sys.modules)) or 0)"
+    )
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_a_slip_of_the_finger_gets_a_hint(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["statsu"]) == USAGE
+    assert "'status'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["status"],
+        ["down"],
+        ["reach", "elbow=45"],
+        ["task", "sweep"],
+        ["plug", "biceps_3"],
+        ["topic", "echo", "Event"],
+        ["estop"],
+    ],
+)
+def test_without_a_robot_they_say_how_to_start_one(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == NOT_RUNNING
+    assert "myograft up" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "remedy"),
+    [
+        (["reach", "elbow"], "elbow=45"),
+        (["reach", "elbow=up"], "elbow=45"),
+        (["topic", "hz", "Nonsense"], "topic list"),
+        (["schema", "rollback"], "schema list"),
+        (["up", "elbow", "--speed", "0"], "--speed"),
+        (["up", "elbow", "--only", "nobody"], "estimator"),
+        (["up", "no_such_robot"], "no_such_robot"),
+        (["plug", "new", "--path", "/nowhere.toml"], "/nowhere.toml"),
+    ],
+)
+def test_wrong_usage_is_told_with_the_remedy(
+    words: list[str], remedy: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == USAGE
+    assert remedy in capsys.readouterr().err
+
+
+def test_topic_list_is_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["topic", "list"]) == DONE
+    assert "chain/{chain}/state" in capsys.readouterr().out
+
+
+def test_doctor_finds_this_host_sound(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor"]) == DONE
+    assert "core" in capsys.readouterr().out

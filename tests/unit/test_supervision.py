@@ -1,0 +1,176 @@
+"""The supervisor's decisions, without processes: back-off, parking, who is started, where."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from runtime.backoff import Backoff, BackoffPolicy, Restart
+from runtime.child import describe_exit
+from runtime.hubs import ENDPOINT_VARIABLE, Claim, Hub, HubError, find_hub, living_hubs
+from runtime.mailbox import Mailbox
+from runtime.manifest import processes_of
+from runtime.messages import ExecutiveState
+from runtime.parking import Parking
+from runtime.settings import load_robot
+from runtime.store import FileStore
+
+
+def test_the_wait_doubles_up_to_the_longest() -> None:
+    backoff = Backoff(Restart.ALWAYS, BackoffPolicy(first_s=0.05, longest_s=0.3))
+    assert [backoff.died(1, wall_s=0.0) for _ in range(5)] == [0.05, 0.1, 0.2, 0.3, 0.3]
+
+
+def test_the_budget_ends_and_the_window_moves_on() -> None:
+    backoff = Backoff(Restart.ALWAYS, BackoffPolicy(budget=2, window_s=60))
+    assert backoff.died(1, wall_s=0.0) is not None
+    assert backoff.died(1, wall_s=1.0) is not None
+    assert backoff.died(1, wall_s=2.0) is None
+    assert backoff.died(1, wall_s=100.0) == 0.05
+
+
+@pytest.mark.parametrize(
+    ("restart", "code", "restarted"),
+    [
+        (Restart.ALWAYS, 0, True),
+        (Restart.ALWAYS, -9, True),
+        (Restart.ON_FAILURE, 0, False),
+        (Restart.ON_FAILURE, 1, True),
+        (Restart.NEVER, 1, False),
+    ],
+)
+def test_policies(restart: Restart, code: int, restarted: bool) -> None:
+    assert (Backoff(restart).died(code, wall_s=0.0) is not None) is restarted
+
+
+def test_exits_are_told_in_words() -> None:
+    assert describe_exit(3) == "exit 3"
+    assert describe_exit(-11) == "killed by SIGSEGV"
+    assert describe_exit(-99) == "killed by signal 99"
+
+
+def test_parking_is_over_when_the_arm_holds_again() -> None:
+    parking = Parking(asked_at_s=0.0, patience_s=10.0)
+    parking.see(ExecutiveState(stage="hold"), 0.01)  # said before it had heard of parking
+    assert not parking.over(0.02)
+    parking.see(ExecutiveState(stage="park"), 0.03)
+    parking.see(ExecutiveState(stage="hold"), 3.0)
+    assert parking.over(3.0)
+
+
+def test_an_arm_that_is_parked_already_need_not_be_seen_moving() -> None:
+    parking = Parking(asked_at_s=0.0, patience_s=10.0)
+    parking.see(ExecutiveState(stage="hold"), 1.5)
+    assert parking.over(1.5)
+
+
+def test_parking_has_its_time() -> None:
+    parking = Parking(asked_at_s=0.0, patience_s=10.0)
+    parking.see(ExecutiveState(stage="park"), 1.0)
+    assert not parking.over(9.9)
+    assert parking.over(10.1)
+
+
+def test_a_simulated_robot_has_a_world_and_a_real_one_has_none() -> None:
+    robot = load_robot("elbow")
+    names = [spec.process for spec in processes_of(robot)]
+    assert names[:2] == ["world", "driver-arm"]
+    assert {"estimator", "executive", "retrainer", "recorder"} <= set(names)
+    chain = msgspec.structs.replace(robot.chain[0], link="serial:///dev/ttyUSB0")
+    real = msgspec.structs.replace(robot, chain=(chain,))
+    assert "world" not in [spec.process for spec in processes_of(real)]
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.delenv(ENDPOINT_VARIABLE, raising=False)
+    return tmp_path
+
+
+def hub(robot: str) -> Hub:
+    return Hub(robot=robot, pid=1, endpoint=f"tcp/127.0.0.1:{len(robot)}")
+
+
+def test_registry_knows_who_lives(home: Path) -> None:
+    with pytest.raises(HubError, match="myograft up"):
+        find_hub()
+    claim = Claim(hub("elbow"))
+    assert find_hub() == hub("elbow")
+    assert find_hub("elbow") == hub("elbow")
+    with pytest.raises(HubError, match="Running: elbow"):
+        find_hub("left")
+    with pytest.raises(HubError, match="--name"):
+        Claim(hub("elbow"))
+    other = Claim(hub("left"))
+    with pytest.raises(HubError, match="--robot"):
+        find_hub()
+    claim.release()
+    assert living_hubs() == [hub("left")]
+    other.release()
+    assert living_hubs() == []
+
+
+def test_a_dead_hubs_file_counts_for_nothing(home: Path) -> None:
+    folder = home / "myograft" / "hubs"
+    folder.mkdir(parents=True)
+    (folder / "elbow.json").write_bytes(msgspec.json.encode(hub("elbow")))
+    (folder / "left.json").write_bytes(b"{half a fi")
+    assert living_hubs() == []
+    Claim(hub("elbow")).release()
+
+
+def test_the_environment_names_a_hub_elsewhere(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(ENDPOINT_VARIABLE, "tcp/10.0.0.7:7447")
+    assert find_hub("elbow").endpoint == "tcp/10.0.0.7:7447"
+    with pytest.raises(HubError, match="--robot"):
+        find_hub()
+
+
+def test_store_keeps_blobs_whole(tmp_path: Path) -> None:
+    store = FileStore(tmp_path / "state")
+    assert store.load("a") is None
+    assert store.names() == []
+    store.save("b", b"1")
+    store.save("a", b"2")
+    store.save("b", b"3")
+    assert store.load("b") == b"3"
+    assert store.names() == ["a", "b"]
+    for name in ("", "../a", "a/b", ".hidden"):
+        with pytest.raises(ValueError, match="no name"):
+            store.save(name, b"")
+
+
+def test_mailbox_keeps_the_newest_or_all_in_order() -> None:
+    box: Mailbox[str] = Mailbox()
+    box.post("state", "old", depth=1)
+    box.post("event", "first")
+    box.post("state", "new", depth=1)
+    box.post("event", "second")
+    assert box.wait(0) == ["first", "new", "second"]
+    assert box.wait(0) == []
+
+
+def test_mailbox_is_bounded_and_counts_what_it_lost() -> None:
+    box: Mailbox[int] = Mailbox()
+    for i in range(5):
+        box.post("q", i, depth=3)
+    assert box.wait(0) == [2, 3, 4]
+    assert box.overflown == 2
+
+
+def test_mailbox_wakes_its_reader() -> None:
+    box: Mailbox[int] = Mailbox()
+    poster = threading.Thread(target=box.post, args=("q", 1))
+    poster.start()
+    assert box.wait(10.0) == [1]
+    poster.join()
+
+
+def test_mailbox_lets_its_reader_sleep_over_what_can_wait() -> None:
+    box: Mailbox[int] = Mailbox()
+    box.post("clock", 1, depth=1, wake=False)
+    assert box.wait(0.0) == [1]  # it is there when somebody looks
