@@ -79,11 +79,11 @@ class Enumerator:
         present = yield from self._who(expected)
         if not present and expected:
             self._event("error", "chain_silent", f"no module answers on chain {self.chain.name}")
-            while not present:
-                present = yield from self._who([*expected, FRESH_ID])
+            while not (yield from self._who([*expected, FRESH_ID])):
+                pass
+            present = yield from self._who(expected)  # it may have come while they were asked
         for module_id in present:
-            if module_id != FRESH_ID:
-                yield from self._meet(module_id)
+            yield from self._meet(module_id)
         for module in self.roster.add_missing():
             self._event(
                 "warning",

@@ -31,7 +31,7 @@ TARE_SAMPLES = 10
 SLACK_N = 5.0  # a wire with less than that is slack
 STEADY_NS = 200_000_000
 STEADY_M = 3e-4  # length changes by less than that while steady
-WIND_IN_NS = 20_000_000_000  # longer than a metre of slack takes
+WIND_IN_NS = 30_000_000_000  # so small a tension winds in about a centimetre a second
 
 
 def write_limits(module: Module) -> Conversation[bool]:

@@ -59,8 +59,11 @@ class Stopping:
         self._roster.stopped = self._slack = self._told = False
         for muscle in self._roster.muscles():
             self._clearing.add(muscle.serial)
-            muscle.reference.bias_n = JOIN_BIAS_N
-            muscle.reference.hold(muscle.reading, muscle.tension_n)
+            if muscle.reference.stiffness_n_m > 0.0:
+                muscle.reference.bias_n = JOIN_BIAS_N
+                muscle.reference.hold(muscle.reading, muscle.tension_n)
+            else:
+                muscle.reference.slacken(muscle.reading)
         return Reply(ok=True, text=f"chain {chain} holds where it is", data={"chain": chain})
 
     def look(self, muscles: list[Module]) -> Iterator[str]:
@@ -88,7 +91,7 @@ class Stopping:
     def packets(self, muscles: list[Module]) -> list[InstructionPacket]:
         """What has still to be written: 1 where the stop is not latched, 0 after a reset."""
         if self._roster.stopped:
-            there = {muscle.id for muscle in muscles}
+            there = {module.id for module in self._roster.modules if module.polled}
             ids = [muscle.id for muscle in muscles if not muscle.status & _LATCHED]
             ids += [i for i in self._roster.expected_ids() if i not in there]
         else:

@@ -1,0 +1,466 @@
+"""The driver on a real chain of firmware twins: readings, commands, limits, stop, restart."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import msgspec
+import pytest
+
+from runtime import messages as m
+from runtime.logic import MemoryStore
+from runtime.wire import packet as wire
+from runtime.wire.registers import BY_NAME, Status
+from services.logic.muscle_driver import MuscleDriver
+from tests.unit.driver_bench import MS, PRELOAD_N, SETTINGS, Bench
+
+K = 20_000.0
+
+
+@pytest.fixture
+def bench() -> Bench:
+    """A driver that has met its modules."""
+    bench = Bench()
+    bench.run(0.3)
+    assert bench.events == []
+    return bench
+
+
+def test_meets_the_modules_of_the_robot_file(bench: Bench) -> None:
+    infos = bench.bodies[-1].modules
+    assert [(x.name, x.kind, x.module_id, x.serial, x.state) for x in infos] == [
+        ("m2", "muscle", 2, 1002, "up"),
+        ("m3", "muscle", 3, 1003, "up"),
+        ("elbow", "joint", 100, 9, "up"),
+    ]
+    assert infos[0].tension_limit_n == SETTINGS.module.tension_limit_n
+
+
+def test_tells_readings_with_the_time_of_the_request(bench: Bench) -> None:
+    before = len(bench.states)
+    bench.run(0.1)
+    news = bench.states[before:]
+    assert len(news) == 20
+    assert [b.stamp_ns - a.stamp_ns for a, b in pairwise(news)] == [5 * MS] * 19
+    assert bench.now_ns - news[-1].stamp_ns <= 5 * MS
+    assert news[-1].muscles == ("m2", "m3")
+    assert bench.joints[-1].joints == ("elbow",)
+    assert bench.joints[-1].angle_rad == pytest.approx((0.5,))
+    assert bench.joints[-1].stamp_ns == news[-1].stamp_ns
+
+
+def test_holds_what_the_brakes_held_when_it_starts(bench: Bench) -> None:
+    assert all(bench.module(name).read(64, 1) == b"\1" for name in ("m2", "m3"))
+    assert all(
+        tension == pytest.approx(PRELOAD_N, abs=0.5)
+        for state in bench.states
+        for tension in state.tension_n
+    )
+    assert bench.states[-1].mode == "hold"
+
+
+def test_follows_a_command(bench: Bench) -> None:
+    length, tension, _ = bench.felt("m2")
+    for _ in range(100):
+        bench.command(m2=(10.0, K, length - 0.002))
+        bench.run(0.01)
+    assert bench.states[-1].mode == "follow"
+    # 10 + K (l - target) against a wire of K: half of the stretch is given up
+    assert bench.felt("m2")[1] == pytest.approx((tension + 10.0 + 0.002 * K) / 2, abs=1.0)
+    assert bench.felt("m3")[1] == pytest.approx(PRELOAD_N, abs=0.5)  # not named: holds
+
+
+def test_targets_move_no_faster_than_the_motor_winds(bench: Bench) -> None:
+    length, _, _ = bench.felt("m2")
+    bench.command(m2=(5.0, K, length))
+    bench.run(0.1)
+    for _ in range(20):
+        bench.command(m2=(5.0, K, length + 0.05))
+        bench.run(0.01)
+    targets = [state.target_length_m[0] for state in bench.states]
+    steps = [abs(b - a) for a, b in pairwise(targets)]
+    assert max(steps) <= SETTINGS.module.winding_speed_m_s * 0.005 + 1e-9
+    assert targets[-1] > length + 0.03
+
+
+def test_another_stiffness_begins_at_the_tension_that_was_asked_for(bench: Bench) -> None:
+    length, tension, _ = bench.felt("m2")
+    peak = bench.bank.peak_target_speed_m_s[0]
+    bench.command(m2=(10.0, K / 2, length - (tension - 10.0) / (K / 2)))
+    start = len(bench.states)
+    bench.run(0.1)
+    assert all(x.tension_n[0] == pytest.approx(tension, abs=1.0) for x in bench.states[start:])
+    assert bench.bank.peak_target_speed_m_s[0] >= peak
+
+
+def test_holds_when_the_lease_runs_out(bench: Bench) -> None:
+    length, _, _ = bench.felt("m2")
+    bench.command(m2=(5.0, K, length + 1.0))
+    bench.run(0.15)
+    assert bench.states[-1].mode == "follow"
+    bench.run(0.06)
+    assert bench.states[-1].mode == "hold"
+    frozen = bench.felt("m2")[2]
+    bench.run(0.5)
+    assert bench.felt("m2")[2] == frozen
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"author": "somebody"}, "only 'executive'"),
+        ({"stamp_ns": -150 * MS}, "older than 100 ms"),
+        ({"stamp_ns": 150 * MS}, "in the future"),
+        ({"stamp_ns": -20 * MS}, "newer"),
+        ({"lease_ns": 0}, "lease"),
+        ({"bias_n": ()}, "one value for each"),
+        ({"bias_n": (float("nan"),)}, "no numbers"),
+        ({"target_length_m": (1e6,)}, "beyond"),
+    ],
+    ids=lambda value: str(value)[:24],
+)
+def test_refuses_and_says_so_once(bench: Bench, changes: dict[str, object], word: str) -> None:
+    length, _, target = bench.felt("m2")
+    bench.command()  # one that counts and wants nothing
+    bench.run(0.01)
+    command = bench.make_command(m2=(60.0, K, length))
+    if "stamp_ns" in changes:
+        changes = {"stamp_ns": bench.now_ns + int(str(changes["stamp_ns"]))}
+    for _ in range(5):
+        bench.send(msgspec.structs.replace(command, **changes))
+        bench.run(0.01)
+    assert bench.felt("m2")[2] == target
+    assert word in bench.event("command_refused").text
+
+
+def test_muscles_it_does_not_know_are_left_aside(bench: Bench) -> None:
+    bench.command(nobody=(60.0, K, 0.0), m2=(5.0, K, bench.felt("m2")[0]))
+    bench.run(0.1)
+    assert bench.states[-1].mode == "follow"
+    assert bench.events == []
+
+
+# ── a line that is not clean ──────────────────────────────────────────────────────────────────
+
+
+def test_one_corrupt_answer_costs_one_sample_of_one_module(bench: Bench) -> None:
+    bench.path_m[0] += 0.0005  # both tensions rise, so that a new reading differs
+    bench.path_m[1] += 0.0005
+    before = len(bench.states)
+
+    def flip(reply: m.BusReply) -> m.BusReply:
+        data = bytearray(reply.data)
+        if len(data) > 40:
+            bench.tamper = None
+            data[10] ^= 0x10
+        return msgspec.structs.replace(reply, data=bytes(data))
+
+    old = bench.states[-1]
+    bench.tamper = flip
+    bench.run(0.011)
+    first, second = bench.states[before : before + 2]
+    assert first.tension_n[0] == old.tension_n[0]
+    assert first.tension_n[1] > old.tension_n[1] + 3.0
+    assert second.tension_n[0] > old.tension_n[0] + 3.0
+    bench.run(1.0)
+    assert (bench.info("m2").link_errors, bench.info("m3").link_errors) == (1, 0)
+    assert bench.events == []
+
+
+def test_a_noisy_line_costs_samples_and_nothing_else(bench: Bench) -> None:
+    bench.chain.faults.set("corrupt", "arm", 5e-4)
+    before = len(bench.states)
+    bench.run(5.0)
+    assert len(bench.states) - before > 950
+    assert bench.info("m2").link_errors > 5
+    assert "lost" not in bench.kinds()
+    assert bench.felt("m2")[1] == pytest.approx(PRELOAD_N, abs=1.0)
+
+
+def test_replies_in_pieces_and_late_ones_find_their_cycle(bench: Bench) -> None:
+    held: list[m.BusReply] = []
+
+    def hold_back(reply: m.BusReply) -> None:
+        held.append(reply)
+
+    bench.tamper = hold_back
+    before = len(bench.states)
+    bench.run(0.005)
+    asked_ns = bench.now_ns
+    bench.tamper = None
+    (late,) = [reply for reply in held if len(reply.data) > 40]
+    bench.driver.receive(msgspec.structs.replace(late, data=late.data[:25]), bench.now_ns)
+    bench.driver.receive(msgspec.structs.replace(late, data=late.data[25:]), bench.now_ns)
+    bench.driver.receive(msgspec.structs.replace(late, sequence=7), bench.now_ns)  # nobody's
+    bench.run(0.005)
+    assert [state.stamp_ns for state in bench.states[before:]] == [asked_ns, asked_ns + 5 * MS]
+    assert bench.info("m2").link_errors == 0
+
+
+def test_a_module_that_falls_silent_is_lost_and_the_others_go_on(bench: Bench) -> None:
+    m2 = bench.module("m2")
+    bench.chain.modules.remove(m2)
+    bench.run(0.04)
+    assert bench.states[-1].muscles == ("m2", "m3")
+    bench.run(0.03)
+    assert bench.states[-1].muscles == ("m3",)
+    assert bench.info("m2").state == "lost"
+    assert bench.event("lost").data["muscle"] == "m2"
+    before = len(bench.states)
+    bench.run(0.1)
+    assert len(bench.states) - before == 20
+
+
+def test_a_short_dropout_is_taken_over_without_winding_in(bench: Bench) -> None:
+    m2 = bench.module("m2")
+    bench.chain.modules.remove(m2)
+    bench.run(0.08)
+    bench.chain.modules.append(m2)
+    bench.run_until(lambda: bench.states[-1].muscles == ("m2", "m3"), 1.0)
+    assert bench.kinds() == ["lost", "returned"]
+    bench.run(0.2)
+    assert bench.felt("m2")[1] == pytest.approx(PRELOAD_N, abs=1.0)
+
+
+def test_nobody_is_lost_while_the_whole_line_is_away_for_a_moment(bench: Bench) -> None:
+    bench.tamper = lambda reply: None
+    before = len(bench.states)
+    bench.run(0.1)
+    assert len(bench.states) == before  # no old readings under new stamps
+    bench.tamper = None
+    bench.run(0.1)
+    assert bench.states[-1].muscles == ("m2", "m3")
+    assert "lost" not in bench.kinds()
+
+
+def test_says_so_when_the_whole_chain_is_dead_and_comes_back(bench: Bench) -> None:
+    bench.tamper = lambda reply: None
+    bench.run(0.5)
+    assert bench.kinds() == ["chain_silent", "lost", "lost", "lost"]
+    bench.tamper = None
+    bench.run(1.0)
+    assert bench.states[-1].muscles == ("m2", "m3")
+    assert bench.felt("m2")[1] == pytest.approx(PRELOAD_N, abs=1.0)
+
+
+def test_waits_for_a_chain_that_is_not_there_yet() -> None:
+    bench = Bench()
+    bench.tamper = lambda reply: None
+    bench.run(2.0)
+    assert bench.kinds() == ["chain_silent"]
+    assert (bench.states, bench.bodies) == ([], [])
+    assert bench.now_ns - bench.requests[-1].stamp_ns <= 5 * MS  # the line hears from its master
+    bench.tamper = None
+    bench.run(0.5)
+    assert bench.states[-1].muscles == ("m2", "m3")
+
+
+# ── limits ────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_pays_out_while_tension_is_above_the_limit() -> None:
+    module = msgspec.structs.replace(SETTINGS.module, tension_limit_n=50.0)
+    bench = Bench(msgspec.structs.replace(SETTINGS, module=module))
+    bench.run(0.3)
+    target = bench.felt("m2")[2]
+    bench.path_m[0] += 0.003  # 60 N more
+    bench.run(0.05)
+    assert bench.felt("m2")[2] > target + 0.0005
+    bench.run(0.5)
+    assert bench.felt("m2")[1] < 50.0
+    assert bench.event("tension_limited").data["muscle"] == "m2"
+
+
+def test_bias_above_the_limit_is_cut(bench: Bench) -> None:
+    bench.command(m2=(400.0, 0.0, 0.0))
+    bench.run(0.1)
+    assert bench.felt("m2")[1] < SETTINGS.module.tension_limit_n
+
+
+def test_an_overheated_muscle_gives_up_tension_and_gets_it_back(bench: Bench) -> None:
+    bench.heat_degc[0] = 95.0
+    for _ in range(800):
+        bench.command(m2=(140.0, 0.0, 0.0))
+        bench.run(0.01)
+    assert bench.event("overheating").data["muscle"] == "m2"
+    assert bench.felt("m2")[1] < 0.5 * SETTINGS.module.tension_limit_n
+    fault = bench.event("fault")
+    assert (fault.data["muscle"], fault.data["fault"]) == ("m2", "overheating")
+    assert (bench.info("m2").state, bench.info("m2").fault) == ("fault", "overheating")
+    assert "m2" in bench.states[-1].muscles
+
+
+def test_writes_the_limits_of_the_robot_file_into_the_modules() -> None:
+    module = msgspec.structs.replace(
+        SETTINGS.module, tension_limit_n=120.0, winding_speed_m_s=0.2, temperature_limit_degc=70.0
+    )
+    bench = Bench(msgspec.structs.replace(SETTINGS, module=module))
+    bench.run(0.3)
+    m2 = bench.module("m2")
+    for name, value in (
+        ("tension_limit", 120.0),
+        ("winding_speed_limit", 0.2),
+        ("temperature_limit", 70.0),
+        ("bus_watchdog", 0.1),
+    ):
+        register = BY_NAME[name]
+        assert register.decode(m2.read(register.address, register.size)) == pytest.approx(value)
+
+
+def test_resumes_without_a_jump_after_the_bus_watchdog_tripped(bench: Bench) -> None:
+    bench.run(0.3, driver=False)
+    assert all(bench.bank.tripped)
+    bench.run(0.1)
+    assert not any(bench.bank.tripped)
+    assert bench.event("watchdog_cleared").data == {}
+    for state in bench.states:
+        assert state.tension_n == pytest.approx((PRELOAD_N, PRELOAD_N), abs=1.0)
+    length, tension, _ = bench.felt("m2")
+    bench.command(m2=(5.0, K, length - (tension - 5.0) / K))
+    bench.run(0.1)
+    assert bench.felt("m2")[1] == pytest.approx(PRELOAD_N, abs=1.0)
+
+
+# ── stop ──────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_a_stop_goes_out_at_once_and_is_latched_in_every_module(bench: Bench) -> None:
+    bench.run(0.002)  # between two cycles
+    before = len(bench.requests)
+    reply = bench.ask(m.Estop(reason="test"))
+    assert reply.ok
+    assert wire.encode(wire.sync_write(719, 1, {2: b"\1", 3: b"\1"})) in bench.requests[before].data
+    assert all(bench.bank.stop)
+    assert bench.driver.mode == "stopping"
+    bench.run(0.01)
+    assert bench.states[-1].mode == "stopping"
+    assert "stopped" not in bench.kinds()
+    bench.run_until(lambda: "stopped" in bench.kinds())
+    assert bench.states[-1].mode == "stopped"
+    assert max(bench.states[-1].tension_n) < 5.0
+    assert bench.info("m2").state == "stopped"
+
+
+def test_a_stop_lost_on_the_line_is_said_again(bench: Bench) -> None:
+    bench.chain.faults.set("drop", "arm", 1.0)
+    bench.ask(m.Estop())
+    bench.run(0.02)
+    assert not any(bench.bank.stop)
+    bench.chain.faults.clear("drop", "arm")
+    bench.run(0.02)
+    assert all(bench.bank.stop)
+
+
+def test_nothing_moves_a_stopped_chain(bench: Bench) -> None:
+    bench.ask(m.Estop())
+    bench.run(2.0)
+    for _ in range(20):
+        bench.command(m2=(60.0, 0.0, 0.0))
+        bench.run(0.01)
+    assert bench.states[-1].mode == "stopped"
+    assert max(bench.states[-1].tension_n) < 5.0
+
+
+def test_a_restarted_driver_stays_stopped(bench: Bench) -> None:
+    bench.ask(m.Estop())
+    bench.run(2.0)
+    bench.events.clear()
+    bench.new_driver()
+    bench.run(0.5)
+    assert bench.states[-1].mode == "stopped"
+    assert "stopped" in bench.kinds()
+    assert all(bench.bank.stop)
+
+
+def test_a_driver_without_memory_learns_of_the_stop_from_the_modules(bench: Bench) -> None:
+    bench.ask(m.Estop())
+    bench.run(2.0)
+    bench.store = MemoryStore()
+    bench.new_driver()
+    bench.run(0.5)
+    assert bench.states[-1].mode == "stopped"
+
+
+def test_a_reset_holds_where_the_arm_is(bench: Bench) -> None:
+    bench.ask(m.Estop())
+    bench.run(2.0)
+    length = bench.felt("m2")[0]
+    assert bench.ask(m.Reset()).ok
+    bench.run(1.0)
+    assert not any(bench.bank.stop)
+    assert bench.states[-1].mode == "hold"
+    assert bench.felt("m2")[0] == pytest.approx(length, abs=0.001)
+    assert bench.felt("m2")[1] < 6.0
+    length = bench.felt("m2")[0]
+    for _ in range(30):
+        bench.command(m2=(20.0, K, length))
+        bench.run(0.01)
+    assert bench.felt("m2")[1] > 8.0
+
+
+def test_a_stop_that_reaches_nobody_is_no_success() -> None:
+    bench = Bench()
+    bench.tamper = lambda reply: None
+    bench.run(0.1)
+    reply = bench.ask(m.Estop())
+    assert not reply.ok
+    assert "no muscle answers" in reply.text
+    bench.tamper = None
+    bench.run(1.0)
+    assert all(bench.bank.stop)  # but it stands for whoever comes
+
+
+def test_a_reset_when_nothing_was_stopped_does_no_harm(bench: Bench) -> None:
+    assert bench.ask(m.Reset()).ok
+    bench.run(0.1)
+    assert bench.felt("m2")[1] == pytest.approx(PRELOAD_N, abs=0.5)
+
+
+# ── restart ───────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize("away_s", [0.02, 0.5])
+def test_a_restarted_driver_takes_live_modules_over_without_a_jump(
+    bench: Bench, away_s: float
+) -> None:
+    length, _, _ = bench.felt("m2")
+    for _ in range(50):
+        bench.command(m2=(10.0, K, length - 0.004), m3=(10.0, K, length - 0.001))
+        bench.run(0.01)
+    tensions = bench.states[-1].tension_n
+    assert max(tensions) > 50.0
+    bench.run(away_s, driver=False)
+    peak = max(bench.bank.peak_target_speed_m_s)
+    bench.states.clear()
+    bench.new_driver()
+    bench.run(1.0)
+    for state in bench.states:
+        assert state.tension_n == pytest.approx(tensions, abs=1.5)
+    assert max(bench.bank.peak_target_speed_m_s) <= max(peak, 0.25)
+    assert all(int(mode) == Status.FOLLOWING for mode in bench.bank.mode)
+
+
+def test_a_spoilt_memory_is_begun_anew(bench: Bench) -> None:
+    bench.store.save("chain-arm", b"\x00rubbish")
+    bench.new_driver()
+    bench.run(0.3)
+    assert [x.name for x in bench.bodies[-1].modules] == ["m2", "m3", "elbow"]
+
+
+def test_is_deterministic() -> None:
+    def requests() -> list[m.BusRequest]:
+        bench = Bench()
+        bench.run(0.5)
+        return bench.requests
+
+    assert requests() == requests()
+
+
+def test_speaks_only_for_its_own_chain(bench: Bench) -> None:
+    assert isinstance(bench.driver, MuscleDriver)
+    command = msgspec.structs.replace(bench.make_command(m2=(60.0, K, 0.0)), chain="other")
+    bench.send(command)
+    bench.driver.receive(m.BusReply(chain="other", sequence=1, data=b"\0"), bench.now_ns)
+    bench.run(0.05)
+    assert bench.states[-1].mode == "hold"
+    assert bench.events == []
