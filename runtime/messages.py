@@ -1,4 +1,4 @@
-"""Every message that crosses the bus: what it says, in SI units unless the field's name says otherwise.
+"""Every message that crosses the bus: in SI units unless a field's name says otherwise.
 
 A message is a frozen `msgspec.Struct`. Its `stamp_ns` is robot time (see `clock.py`). Which key it
 travels on, how often, and how long it is kept stands in `topics.py`, one row a type.
@@ -254,7 +254,7 @@ class ExecutiveState(Message, frozen=True, kw_only=True):
 
 
 class Place(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A point of a wire: fixed on a link at a position, or laid around one of its wrapping geoms."""
+    """A point of a wire: fixed on a link at a position, or laid around a wrapping geom."""
 
     link: str = ""  # MJCF body
     position_m: tuple[float, float, float] | None = None  # in the link's frame
