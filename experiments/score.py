@@ -35,8 +35,8 @@ class SweepScorer:
         self._targets = np.radians(
             next(row.targets_deg for row in settings.task if row.name == task)
         )
-        everyone = (*settings.muscle, *settings.spare)
-        self._flexors = [muscle.name for muscle in everyone if muscle.role == "flexor"]
+        self._flexors = [x.name for x in settings.muscle if x.role == "flexor"]
+        self._flexors += [x.name for x in settings.spare if x.role == "flexor"]
         self._angles: dict[int, list[tuple[float, ...]]] = defaultdict(list)
         self._tensions: dict[int, list[list[float]]] = defaultdict(list)
         self._state: ExecutiveState | None = None

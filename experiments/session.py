@@ -45,7 +45,7 @@ class RigSession:
         self.watchers: list[Callable[[Message], None]] = []
         rig.watchers.append(self._hear)
         self._done: Callable[[Message], bool] | None = None
-        self._found: Message | None = None
+        self._heard: list[Message] = []  # what was waited for
 
     def ask(self, request: Message) -> Reply:
         """As `Session.ask`."""
@@ -56,18 +56,18 @@ class RigSession:
 
     def wait(self, done: Callable[[Message], bool], limit_s: float, what: str) -> Message:
         """As `Session.wait`."""
-        self._done, self._found = done, None
+        self._done = done
+        self._heard.clear()
         try:
-            self.rig.run_until(lambda: self._found is not None, limit_s, what)
+            self.rig.run_until(lambda: bool(self._heard), limit_s, what)
         except RigTimeout as error:
             raise SessionError(str(error)) from error
         finally:
             self._done = None
-        assert self._found is not None
-        return self._found
+        return self._heard[0]
 
     def _hear(self, message: Message) -> None:
         for watcher in self.watchers:
             watcher(message)
-        if self._done is not None and self._found is None and self._done(message):
-            self._found = message
+        if self._done is not None and not self._heard and self._done(message):
+            self._heard.append(message)

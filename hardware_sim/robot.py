@@ -7,6 +7,7 @@ pull it off. Everything else (`truth`) is for scoring.
 from __future__ import annotations
 
 import zlib
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -289,7 +290,7 @@ class SimulatedRobot:
             self.chains[joint.chain].plug(
                 JointModule(
                     serial_number(settings.name, joint.name),
-                    lambda number=number: self._angle_reading(number),
+                    partial(self._angle_reading, number),
                     joint.id,
                     joint.name,
                 )

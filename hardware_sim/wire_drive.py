@@ -1,4 +1,4 @@
-"""Winding motors and elastic elements of all wires, vectorised: the physics between module and body.
+"""Winding motors and elastic elements of all wires: the physics between module and body.
 
 One motor winds one wire on a spool. Its speed follows the command with a lag, falls with tension as
 a DC motor's does, and its winding warms with the square of the tension. The elastic element in

@@ -149,8 +149,8 @@ class Schema:
         n, m = len(self.joints), len(self.muscles)
         tensors = {name: np.ascontiguousarray(getattr(self, name)) for name in _shapes(n, m)}
         for layer, (w, b) in enumerate(self.weights):
-            tensors[f"w{layer}"] = np.ascontiguousarray(w)
-            tensors[f"b{layer}"] = np.ascontiguousarray(b)
+            tensors[f"w{layer}"] = np.ascontiguousarray(w, dtype=np.float32)
+            tensors[f"b{layer}"] = np.ascontiguousarray(b, dtype=np.float32)
         header = {
             "format": FORMAT,
             "joints": self.joints,
@@ -222,9 +222,19 @@ def _checked_weights(weights: Weights, n: int, m: int) -> Weights:
     sizes = [n + 2 * m + 3, *(np.shape(b)[0] if np.ndim(b) == 1 else -1 for _, b in weights)]
     sizes[-1] = n + 2 * m
     return tuple(
-        (_checked(f"w{i}", w, (sizes[i + 1], sizes[i])), _checked(f"b{i}", b, (sizes[i + 1],)))
+        (
+            _single(_checked(f"w{i}", w, (sizes[i + 1], sizes[i]))),
+            _single(_checked(f"b{i}", b, (sizes[i + 1],))),
+        )
         for i, (w, b) in enumerate(weights)
     )
+
+
+def _single(array: Array) -> Array:
+    """Rounded to single precision, in which weights are learned and kept."""
+    rounded = array.astype(np.float32).astype(np.float64)
+    rounded.setflags(write=False)
+    return rounded
 
 
 def _header(data: bytes) -> dict[str, Any]:

@@ -7,7 +7,7 @@ chain falls silent everything waits and then goes on from what the arm does.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 import msgspec
 import numpy as np
@@ -134,7 +134,8 @@ class Executive:
         if self._ticks % STATE_EVERY == 0:
             yield self._state(now_ns, stage, text)
 
-    def _act(self, now_ns: int, dt_s: float) -> Iterator[Message]:
+    def _act(self, now_ns: int, dt_s: float) -> Generator[Message, None, str]:
+        """Do what is due and return the stage that this is."""
         if self._growth is not None:
             growth = self._growth
             yield from growth.tick(now_ns, dt_s)

@@ -22,6 +22,7 @@ from runtime.messages import (
     TrainingJob,
     TrainingProgress,
 )
+from services.body_schema.motions import TrainingError, residuals_m
 from services.body_schema.schema import Schema, SchemaError
 from services.logic.arm import GUEST_BIAS_N, Arm, MotionRecorder
 
@@ -198,7 +199,8 @@ class Growth:
         bad = [name for name, value in residual_m.items() if not value <= self._limit_m]
         words = ", ".join(f"{name} {value:.2f} mm" for name, value in mm.items())
         if bad:
-            reason = f"length residual on held-out motion above {self._limit_m * 1e3:.1f} mm: {words}"
+            limit_mm = self._limit_m * 1e3
+            reason = f"length residual on held-out motion above {limit_mm:.1f} mm: {words}"
             self.over = f"candidate refused: {reason}"
             yield SchemaVerdict(
                 stamp_ns=now_ns, job=record.job, adopted=False, reason=reason, residual_mm=mm
@@ -241,13 +243,9 @@ def held_out_residual_m(data: bytes, motions: list[Motion]) -> dict[str, float]:
     """Root mean square of measured minus predicted length [m] by muscle; inf for a bad schema."""
     try:
         schema = Schema.from_bytes(data)
-    except SchemaError:
+        rms = residuals_m(schema, motions)
+    except (SchemaError, TrainingError):
         return {"schema": float("inf")}
-    theta = np.concatenate([np.array(m.angle_rad) for m in motions])
-    tension = np.concatenate([np.array(m.tension_n) for m in motions])
-    length = np.concatenate([np.array(m.length_m) for m in motions])
-    error = length - schema.lengths(theta, tension)
-    rms = np.sqrt(np.mean(error**2, axis=0))
     return dict(zip(schema.muscles, rms.tolist(), strict=True))
 
 
