@@ -1,8 +1,8 @@
 """The master of one daisy chain: SI units above, Dynamixel packets below.
 
 Each cycle one request writes all goals and reads all modules. Conversations with single modules
-(`enumeration.py`, `joining.py`) run beside it. Which commands count stands in `command_gate.py`,
-what a muscle is told in `reference.py`, how a chain stops in `stopping.py`.
+(`enumeration.py`, `fresh.py`, `joining.py`) run beside it. Which commands count stands in
+`command_gate.py`, what a muscle is told in `reference.py`, how a chain stops in `stopping.py`.
 
 The driver stands alone: without the executive it holds every wire where it is, and it answers
 `estop` itself.
@@ -25,6 +25,7 @@ from services.logic.command_gate import CommandGate
 from services.logic.conversation import Conversation, Conversations, read
 from services.logic.enumeration import Enumerator
 from services.logic.line import Line
+from services.logic.reception import Reception
 from services.logic.roster import Module, Roster
 from services.logic.stopping import Stopping
 
@@ -53,11 +54,13 @@ class MuscleDriver:
         self.roster = Roster(settings, chain, store)
         self._line = Line(chain, PATIENCE_CYCLES * self.period_ns)
         self._conversations = Conversations(self._line)
+        begin = self._conversations.begin
         self._gate = CommandGate(chain)
         self._stopping = Stopping(self.roster)
         self._sensing = sensing.Sensing(self.roster)
         self._body = sensing.BodyTeller(self.roster)
-        self._enumerator = Enumerator(settings, self.roster, self._conversations.begin, self._event)
+        self._reception = Reception(settings, self.roster, begin, self._event)
+        self._enumerator = Enumerator(self._reception)
         self._polls: deque[sensing.Poll] = deque()
         self._out: list[Message] = []
         self._now_ns = 0
@@ -65,7 +68,7 @@ class MuscleDriver:
         self._cycle_ns = 0
         self._urgent = False  # a stop does not wait for the next cycle
         self._sync_read: tuple[tuple[int, ...], bytes] = ((), b"")
-        self._conversations.begin(self._enumerator.start())
+        begin(self._enumerator.start())
 
     @property
     def mode(self) -> str:
@@ -81,7 +84,7 @@ class MuscleDriver:
             if message.chain == self.chain and (why := self._gate.refusal(message, now_ns)):
                 self._event("warning", "command_refused", why, author=message.author)
         elif isinstance(message, m.Event):
-            self._enumerator.hear(message)
+            self._reception.hear(message)
 
     def answer(self, request: Message, now_ns: int) -> Reply:
         """`Estop` latches and goes out with the next tick; `Reset` lets the muscles hold."""
@@ -96,7 +99,7 @@ class MuscleDriver:
 
     def tick(self, now_ns: int) -> Iterator[Message]:
         """Run the cycle when it is due, and carry the conversations on."""
-        self._now_ns = self._enumerator.now_ns = now_ns
+        self._now_ns = self._reception.now_ns = now_ns
         cycle = now_ns // self.period_ns
         new_cycle = cycle != self._cycle
         self._close_polls(now_ns, new_cycle)
