@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import fcntl
 import os
+import socket
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
@@ -41,6 +43,26 @@ def state_home() -> Path:
 def robot_home(robot: str) -> Path:
     """The folder of one robot: `runs/` and `state/`."""
     return state_home() / robot
+
+
+def new_run_dir(robot: str) -> Path:
+    """A new folder `runs/<UTC>`, to which `runs/latest` then points."""
+    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
+    runs = robot_home(robot) / "runs"
+    folder = runs / stamp
+    folder.mkdir(parents=True)
+    fresh = runs / f".latest.{os.getpid()}"
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(stamp)
+    fresh.replace(runs / "latest")
+    return folder
+
+
+def free_endpoint() -> str:
+    """An endpoint on the loopback where nobody listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def living_hubs() -> list[Hub]:

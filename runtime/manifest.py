@@ -42,3 +42,16 @@ def processes_of(settings: RobotSettings) -> tuple[Spec, ...]:
 def can_view() -> bool:
     """Rerun is installed (the extra `view`)."""
     return importlib.util.find_spec("rerun") is not None
+
+
+def chosen(specs: tuple[Spec, ...], only: tuple[str, ...]) -> tuple[Spec, ...]:
+    """Those that `only` names, in the order of start; all when it names none.
+
+    Raises:
+        ValueError: it names one that the robot does not have.
+    """
+    names = [spec.process for spec in specs]
+    unknown = [name for name in only if name not in names]
+    if unknown:
+        raise ValueError(f"no process {unknown[0]!r}: this robot has {', '.join(names)}")
+    return tuple(spec for spec in specs if not only or spec.process in only)

@@ -45,6 +45,7 @@ class Launch:
     speed: float = 1.0  # robot seconds asked for per wall second
     seed: int = 0
     parent: int = 0  # pid of the supervisor; 0: started by hand
+    connect: tuple[str, ...] = ()  # more endpoints: a router, when the robot is split over hosts
 
     @property
     def instance(self) -> str:
@@ -71,7 +72,9 @@ class Launch:
         Raises:
             BusError: the hub does not answer.
         """
-        with Bus(self.settings.name, self.process, endpoint=self.endpoint) as bus:
+        with Bus(
+            self.settings.name, self.process, endpoint=self.endpoint, also=self.connect
+        ) as bus:
             member = Member(bus, follow_world=self.simulated, parent=self.parent)
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: member.stop())
@@ -122,6 +125,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--run-dir", type=Path, required=True)
     parser.add_argument("--state-dir", type=Path, required=True)
     parser.add_argument("--endpoint", required=True, help="of the hub: tcp/127.0.0.1:7447")
+    parser.add_argument("--connect", action="append", default=[], help="more endpoints")
     parser.add_argument("--parent", type=int, default=0, help="pid of the supervisor")
     args = parser.parse_args(argv)
     logging.basicConfig(
@@ -138,6 +142,7 @@ def main(argv: list[str] | None = None) -> None:
         speed=args.speed,
         seed=args.seed,
         parent=args.parent,
+        connect=tuple(args.connect),
     )
     log.info("%s of %s, pid %d", launch.process, launch.settings.name, os.getpid())
     entry_of(args.process, args.entry)(launch)

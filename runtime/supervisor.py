@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import queue
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -18,8 +17,8 @@ from pathlib import Path
 from runtime.backoff import BackoffPolicy
 from runtime.bus import Bus
 from runtime.child import Child
-from runtime.hubs import Claim, Hub, living_hubs, robot_home
-from runtime.manifest import Spec, processes_of, simulated
+from runtime.hubs import Claim, Hub, free_endpoint, living_hubs, new_run_dir, robot_home
+from runtime.manifest import Spec, chosen, processes_of, simulated
 from runtime.member import EXECUTIVE, Member
 from runtime.messages import (
     Estop,
@@ -48,6 +47,7 @@ class Group:
         speed: robot seconds asked for per wall second.
         seed: of everything random.
         only: start these of the robot's processes only.
+        connect: more endpoints to connect to: a router, when the robot is split over hosts.
         run_dir: of this run; by default a new one under the robot's state folder.
         state_dir: what outlives the run; by default the robot's own. A new folder is a new robot.
         processes: other processes than the robot's own: for tests.
@@ -65,6 +65,7 @@ class Group:
         speed: float = 1.0,
         seed: int = 0,
         only: tuple[str, ...] = (),
+        connect: tuple[str, ...] = (),
         run_dir: Path | None = None,
         state_dir: Path | None = None,
         processes: tuple[Spec, ...] | None = None,
@@ -75,8 +76,9 @@ class Group:
         self.endpoint = ""
         self.run_dir = run_dir or new_run_dir(settings.name)
         self._state_dir = state_dir or robot_home(settings.name) / "state"
+        self._connect = connect
         self._arguments = ["--speed", str(speed), "--seed", str(seed)]
-        self._specs = _chosen(processes_of(settings) if processes is None else processes, only)
+        self._specs = chosen(processes_of(settings) if processes is None else processes, only)
         self._policy = policy
         self._say = say
         self._exits: queue.SimpleQueue[tuple[Child, int]] = queue.SimpleQueue()
@@ -99,8 +101,8 @@ class Group:
 
     def start(self) -> None:
         """Open the hub and start every process; returns at once."""
-        also = tuple(hub.endpoint for hub in living_hubs())
-        self.endpoint = _free_endpoint()
+        also = (*self._connect, *(hub.endpoint for hub in living_hubs()))
+        self.endpoint = free_endpoint()
         hub = Hub(
             robot=self.settings.name,
             pid=os.getpid(),
@@ -295,32 +297,6 @@ class Group:
             *("--state-dir", str(self._state_dir)),
             *("--endpoint", self.endpoint),
             *("--parent", str(os.getpid())),
+            *(word for endpoint in self._connect for word in ("--connect", endpoint)),
             *self._arguments,
         ]
-
-
-def _chosen(specs: tuple[Spec, ...], only: tuple[str, ...]) -> tuple[Spec, ...]:
-    names = [spec.process for spec in specs]
-    unknown = [name for name in only if name not in names]
-    if unknown:
-        raise ValueError(f"no process {unknown[0]!r}: this robot has {', '.join(names)}")
-    return tuple(spec for spec in specs if not only or spec.process in only)
-
-
-def new_run_dir(robot: str) -> Path:
-    """A new folder for one run of a robot; `latest` points to it."""
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
-    runs = robot_home(robot) / "runs"
-    folder = runs / stamp
-    folder.mkdir(parents=True)
-    fresh = runs / f".latest.{os.getpid()}"
-    fresh.unlink(missing_ok=True)
-    fresh.symlink_to(stamp)
-    fresh.replace(runs / "latest")
-    return folder
-
-
-def _free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"

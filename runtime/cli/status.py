@@ -11,7 +11,7 @@ from runtime import messages as m
 from runtime.cli.client import Client, add_robot_argument, with_robot
 from runtime.cli.main import DONE
 
-LISTEN_S = 0.12  # retained and fast topics have arrived by then; Health may not have
+LISTEN_S = 0.15  # at most: what is retained or fast has arrived by then
 
 
 class Status:
@@ -35,10 +35,8 @@ class Status:
         def look(client: Client) -> int:
             picture = Picture(client.robot)
             client.bus.subscribe(*Picture.inputs)
-            wait_s = LISTEN_S
             while True:
-                for message in client.gather(picture.take, wait_s):
-                    picture.take(message)
+                client.gather(picture.take, LISTEN_S)
                 if args.json:
                     print(msgspec.json.encode(picture.as_dict()).decode(), flush=True)
                 else:
@@ -46,7 +44,7 @@ class Status:
                     print(start + picture.as_text(), flush=True)
                 if not args.watch:
                     return DONE
-                time.sleep(max(0.0, 1.0 - wait_s))
+                time.sleep(1.0)
 
         return with_robot(args.robot, look)
 
@@ -75,7 +73,7 @@ class Picture:
         self.states: dict[str, m.ChainState] = {}
 
     def take(self, message: m.Message) -> bool:
-        """Take in a message. Always False: there is always more to know."""
+        """Take in a message; True once everything is known that a living robot tells."""
         match message:
             case m.Clock():
                 self.clock = message
@@ -91,7 +89,15 @@ class Picture:
                 self.bodies[message.chain] = message
             case m.ChainState():
                 self.states[message.chain] = message
-        return False
+        return self._complete
+
+    @property
+    def _complete(self) -> bool:
+        if self.group is None or self.clock is None or self.executive is None:
+            return False
+        ready = [row.process for row in self.group.processes if row.state == "ready"]
+        healthy = all(process in self.health for process in ready)
+        return healthy and bool(self.states) and self.bodies.keys() == self.states.keys()
 
     def as_dict(self) -> dict[str, object]:
         """For `--json`."""

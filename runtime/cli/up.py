@@ -28,7 +28,8 @@ class Up:
       myograft up elbow
       myograft up elbow --speed 4                 four times as fast as life, if the machine can
       myograft up elbow --name left               a second robot beside the first
-      myograft up my_arm.toml --only driver-arm   one part of a robot
+      myograft up my_arm.toml --only driver-arm --connect tcp/10.0.0.7:7447
+                                                  one part of a robot, the rest by that router
     """
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
@@ -38,6 +39,13 @@ class Up:
         parser.add_argument("--speed", type=float, default=1.0, help="robot time per wall time")
         parser.add_argument("--seed", type=int, default=0, help="of everything random")
         parser.add_argument("--only", default="", metavar="A,B", help="only these processes")
+        parser.add_argument(
+            "--connect",
+            action="append",
+            default=[],
+            metavar="ENDPOINT",
+            help="a router to other hosts, as tcp/10.0.0.7:7447",
+        )
         parser.add_argument("--run-dir", type=Path, help="where logs and recordings go")
 
     def run(self, args: argparse.Namespace) -> int:
@@ -62,6 +70,7 @@ class Up:
                         speed=args.speed,
                         seed=args.seed,
                         only=only,
+                        connect=tuple(args.connect),
                         run_dir=run_dir,
                         say=lambda line: print(line, flush=True),
                     )

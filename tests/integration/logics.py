@@ -65,7 +65,8 @@ class Parker:
     requests: tuple[type[Message], ...] = (Task,)
     period_ns = 20_000_000
 
-    def __init__(self) -> None:
+    def __init__(self, takes_s: float = 0.3) -> None:
+        self.takes_ns = int(takes_s * 1e9)
         self.stage = "move"
         self.parked_at_ns: int | None = None
 
@@ -74,7 +75,7 @@ class Parker:
     def answer(self, request: Message, now_ns: int) -> Reply:
         assert isinstance(request, Task)
         self.stage = request.name
-        self.parked_at_ns = now_ns + 300_000_000
+        self.parked_at_ns = now_ns + self.takes_ns
         return Reply(ok=True)
 
     def tick(self, now_ns: int) -> Iterator[Message]:
@@ -96,6 +97,10 @@ def echo(launch: Launch) -> None:
 
 def parker(launch: Launch) -> None:
     launch.run(Parker())
+
+
+def never_parks(launch: Launch) -> None:
+    launch.run(Parker(takes_s=1000.0))
 
 
 def dies(launch: Launch) -> None:

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,7 +18,8 @@ import zenoh
 
 from runtime.backoff import BackoffPolicy, Restart
 from runtime.bus import Bus
-from runtime.hubs import HubError, living_hubs
+from runtime.hubs import HubError, free_endpoint, living_hubs
+from runtime.journal import read
 from runtime.manifest import Spec
 from runtime.messages import (
     Event,
@@ -88,10 +90,16 @@ class Ear:
 
 
 @contextmanager
-def listening(group: Group, *kinds: type[Message], robot: str = "") -> Iterator[Ear]:
-    with Bus(robot or group.settings.name, "test", endpoint=group.endpoint) as bus:
+def listening_at(endpoint: str, robot: str, *kinds: type[Message]) -> Iterator[Ear]:
+    with Bus(robot, "test", endpoint=endpoint) as bus:
         bus.subscribe(*kinds)
         yield Ear(bus)
+
+
+@contextmanager
+def listening(group: Group, *kinds: type[Message], robot: str = "") -> Iterator[Ear]:
+    with listening_at(group.endpoint, robot or group.settings.name, *kinds) as ear:
+        yield ear
 
 
 def happened(kind: str) -> Callable[[Message], bool]:
@@ -185,6 +193,55 @@ def test_parks_before_it_stops() -> None:
         ear.wait_for(happened("parked"))
         assert not any(psutil.pid_exists(pid) for pid in pids)
         assert [row.state for row in group.rows] == ["stopped", "stopped"]
+
+
+def test_hurry_ends_a_long_parking() -> None:
+    never = Spec("executive", entry=f"{HERE}:never_parks")
+    with running("hurried", never) as group:
+        stopper = threading.Thread(target=group.stop)
+        started_at = time.monotonic()
+        stopper.start()
+        group.hurry()
+        stopper.join(5)
+        assert not stopper.is_alive()
+        assert time.monotonic() - started_at < 5
+
+
+def test_split_over_hosts_by_a_router() -> None:
+    endpoint = free_endpoint()
+    config = zenoh.Config.from_json5(
+        f'{{mode: "router", listen: {{endpoints: ["{endpoint}"]}}, '
+        "scouting: {multicast: {enabled: false}}}"
+    )
+    robot = settings("split")
+    with (
+        zenoh.open(config),
+        listening_at(endpoint, "split", TrainingProgress) as ear,
+        Group(robot, processes=(COUNTER,), connect=(endpoint,)) as group,
+    ):
+        assert group.wait_ready(15)
+        ear.wait_for(lambda m: isinstance(m, TrainingProgress))
+
+
+def test_up_in_the_foreground_until_ctrl_c(home: Path) -> None:
+    command = [sys.executable, "-m", "runtime.cli.main", "up", settings("fore").file]
+    with subprocess.Popen(
+        [*command, "--name", "fore", "--only", "recorder"], stdout=subprocess.PIPE, text=True
+    ) as up:
+        assert up.stdout is not None
+        told = ""
+        for line in up.stdout:
+            told += line
+            if "Ctrl-C" in line:
+                break
+        assert "recorder ready" in told
+        assert [hub.robot for hub in living_hubs()] == ["fore"]
+        up.send_signal(signal.SIGINT)
+        assert "stopped" in up.stdout.read()
+        assert up.wait(10) == 0
+    assert living_hubs() == []
+    recording = home / "myograft" / "fore" / "runs" / "latest" / "messages.mcap"
+    assert any(isinstance(entry.message, GroupState) for entry in read(recording))
 
 
 SUPERVISOR = """
