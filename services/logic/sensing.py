@@ -18,6 +18,8 @@ LOST_CYCLES = 10  # without an answer while others answer
 SILENT_CYCLES = 40  # without anything at all: the world may be away for 50 ms of robot time
 REBASE_CYCLES = 5  # after so much silence the muscles may be elsewhere
 
+Look = tuple[str, int, int, str, str, bool]  # all of a module that is told when it changes
+
 _ANGLE = BY_NAME["present_angle"]
 
 
@@ -120,14 +122,14 @@ class BodyTeller:
 
     def __init__(self, roster: Roster) -> None:
         self._roster = roster
-        self._told: list[tuple[object, ...]] = []
+        self._told: list[Look] = []
         self._told_ns = 0
 
     def tell(self, stopped: bool, now_ns: int) -> Iterator[m.ChainBody]:
         """The message, when it is time for it."""
         modules = self._roster.modules
         # without the count of link errors, which may change every cycle
-        look = [(x.name, x.id, x.serial, x.state, x.fault, stopped) for x in modules]
+        look: list[Look] = [(x.name, x.id, x.serial, x.state, x.fault, stopped) for x in modules]
         if look == self._told and now_ns - self._told_ns < self.EVERY_NS:
             return
         self._told, self._told_ns = look, now_ns
