@@ -26,7 +26,7 @@ class Demo:
     the running daisy chain, lets the robot take it in and relearn its body schema, sweeps again,
     and parks. Ends with a table, a recording (.rrd) and a picture (.png).
 
-    examples:
+    Examples:
       myograft demo
       myograft demo --view             watch it live in Rerun
       myograft demo --speed 2          robot time twice as fast as wall time
@@ -67,8 +67,8 @@ def _demo(args: argparse.Namespace) -> int:
     from experiments.live import live_session
     from experiments.progress import bars
     from experiments.sequence import Trace, run_sequence
+    from runtime.hubs import new_run_dir
     from runtime.settings import load_robot
-    from runtime.supervisor import new_run_dir
 
     settings = load_robot(args.robot, args.name)
     if not settings.spare:
