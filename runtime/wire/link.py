@@ -10,6 +10,7 @@ came back, perhaps nothing.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
@@ -21,7 +22,7 @@ FORMS = "'sim:' or 'serial:///dev/ttyUSB0?baud=3000000'"
 # USB serial adapters hold bytes back for 16 ms unless their latency timer is set to 1 ms.
 TIMEOUT_S = 0.005
 
-_ONE_EACH = {
+_ANSWERS: dict[Instruction, Callable[[bytes], int]] = {
     Instruction.SYNC_READ: lambda params: len(wire.sync_read_spans(params)[2]),
     Instruction.BULK_READ: lambda params: len(wire.bulk_read_spans(params)),
     Instruction.FAST_SYNC_READ: lambda _: 1,
@@ -118,8 +119,8 @@ def expected_answers(data: bytes) -> int:
 
 def _answers(packet: InstructionPacket) -> int:
     instruction = Instruction(packet.instruction)
-    if instruction in _ONE_EACH:
-        return _ONE_EACH[instruction](packet.params)
+    if instruction in _ANSWERS:
+        return _ANSWERS[instruction](packet.params)
     if packet.id != BROADCAST:
         return 1
     return wire.MAX_ID if instruction is Instruction.PING else 0
