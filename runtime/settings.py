@@ -110,7 +110,7 @@ class Simulation(_Table, frozen=True, kw_only=True):
     tension_noise_n: float = 0.2
     length_noise_m: float = 2e-5
     angle_noise_rad: float = 1e-3
-    wire_friction: float = 0.022  # mu phi: friction is tension * sinh(mu phi)
+    wire_friction: float = 0.2  # mu phi: friction is tension * sinh(mu phi)
     elastic_n_m: tuple[float, float, float] = (1000.0, 0.0, 7.5e7)  # f = a e + b e^2 + c e^3
     ambient_degc: float = 25.0
 

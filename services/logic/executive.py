@@ -166,7 +166,7 @@ class Executive:
             memory.step += 1
             if memory.step < len(targets):
                 memory.goal_rad = tuple(targets[memory.step].tolist())
-                self._under_way = False
+                self.arm.go(np.array(memory.goal_rad))
             else:
                 self._event("info", "task_done", f"task '{memory.task}' is done", task=memory.task)
                 memory.task, memory.step = "", 0
@@ -316,7 +316,7 @@ class Executive:
             if not low <= angle <= high:
                 limits = f"{np.degrees(low):.0f} .. {np.degrees(high):.0f} deg"
                 return Reply(ok=False, text=f"joint '{name}' reaches {limits}")
-            goal[index] = angle
+            goal[index] = float(angle)
         self._memory.task, self._memory.step = "", 0
         self._memory.goal_rad = tuple(goal)
         self._under_way = False

@@ -34,7 +34,7 @@ class Path:
     ) -> Path:
         """The quickest such path whose fastest joint stays under `speed` [rad/s]."""
         distance = float(np.max(np.abs(goal_rad - start_rad), initial=0.0))
-        duration = max(MIN_JERK_PEAK * distance / speed, 0.2)
+        duration = max(MIN_JERK_PEAK * distance / float(speed), 0.2)
         return Path(start_rad, goal_rad, start_floor_n, goal_floor_n, duration)
 
     def advance(self, dt_s: float) -> None:
