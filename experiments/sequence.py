@@ -16,7 +16,7 @@ from runtime import messages as m
 from runtime.messages import Message
 from runtime.settings import RobotSettings
 
-HOLD_SHARE = 0.5  # of the joint range at which the arm holds while the muscle is plugged in
+HOLD_DEG = 60.0  # where the arm holds while the muscle is plugged in
 GROWTH_LIMIT_S = 240.0
 TASK_LIMIT_S = 300.0
 TRACE_NS = 50_000_000
@@ -101,7 +101,7 @@ def run_sequence(session: Session, trace: Trace, narrate: Narrate, spare: str = 
     session.wait(_in_stage("hold"), 60.0, "the arm holding")
     before = _sweep(session, narrate, "sweep before")
 
-    middle = {joint.name: HOLD_SHARE * np.radians(120.0) for joint in settings.joint}
+    middle = {joint.name: float(np.radians(HOLD_DEG)) for joint in settings.joint}
     session.ask(m.Reach(angle_rad=middle))
     session.wait(_settled, 20.0, "the arm holding a posture")
     candidates: list[m.SchemaCandidate] = []

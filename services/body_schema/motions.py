@@ -25,19 +25,30 @@ def taut_samples(
     """All samples in which every wire is taut: theta (T, N) [rad], f (T, M) [N], l (T, M) [m].
 
     Raises:
-        TrainingError: shapes that do not fit, a number that is not finite, fewer than ten samples.
+        TrainingError: a sample of another width; or see `taut`.
     """
     theta = _stacked([motion.angle_rad for motion in motions], joints)
     f = _stacked([motion.tension_n for motion in motions], muscles)
     length = _stacked([motion.length_m for motion in motions], muscles)
+    return taut(theta, f, length)
+
+
+def taut(theta: Array, f: Array, length: Array) -> tuple[Array, Array, Array]:
+    """Those of T samples, theta (T, N), f (T, M) [N], length (T, M), in which every wire is taut.
+
+    Raises:
+        TrainingError: unequal numbers, a number that is not finite, fewer than ten samples.
+    """
     if not len(theta) == len(f) == len(length):
-        raise TrainingError("the motions' angles, tensions and lengths are not equally many")
-    taut = (f >= SLACK_N).all(axis=1)
-    if taut.sum() < FEWEST:
+        raise TrainingError("angles, tensions and lengths are not equally many")
+    if not all(np.isfinite(a).all() for a in (theta, f, length)):
+        raise TrainingError("a sample is not a number")
+    kept = (f >= SLACK_N).all(axis=1)
+    if kept.sum() < FEWEST:
         raise TrainingError(
-            f"of {len(f)} samples only {taut.sum()} have every wire taut, {FEWEST} are needed"
+            f"of {len(f)} samples only {kept.sum()} have every wire taut, {FEWEST} are needed"
         )
-    return theta[taut], f[taut], length[taut]
+    return theta[kept], f[kept], length[kept]
 
 
 def residuals_m(schema: Schema, motions: Sequence[Motion]) -> Array:
@@ -97,7 +108,4 @@ def _stacked(blocks: Sequence[tuple[tuple[float, ...], ...]], width: int) -> Arr
     rows = [row for block in blocks for row in block]
     if any(len(row) != width for row in rows):
         raise TrainingError(f"a sample of the motions does not have {width} values")
-    array = np.array(rows, dtype=float).reshape(len(rows), width)
-    if not np.isfinite(array).all():
-        raise TrainingError("a sample of the motions is not a number")
-    return array
+    return np.array(rows, dtype=float).reshape(len(rows), width)

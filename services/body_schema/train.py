@@ -20,7 +20,7 @@ import torch
 
 from runtime.messages import Motion
 from services.body_schema.growth import grow, shrink
-from services.body_schema.motions import TrainingError, taut_samples
+from services.body_schema.motions import TrainingError, taut, taut_samples
 from services.body_schema.network import (
     MASKS,
     Array,
@@ -39,13 +39,14 @@ Progress = Callable[[int, int, float, float, float], None]  # epoch, epochs, los
 class Recipe:
     """How long and how hard to train."""
 
-    steps: int  # about: rounded to whole epochs
+    steps: int  # at least: rounded up to whole epochs
     batch: int  # samples a step, each under three masks
     rate: float  # of Adam at its highest; it rises over the first twentieth, then falls as a cosine
+    passes: int = 1  # epochs, at least: more data are worth more steps
 
 
 OLD = Recipe(steps=20_000, batch=128, rate=4e-3)
-NEW = Recipe(steps=1400, batch=32, rate=2e-3)
+NEW = Recipe(steps=1000, batch=32, rate=1e-3, passes=25)
 LESS = Recipe(steps=2000, batch=64, rate=2e-3)
 REPLAYED = 8192  # random (theta, f) that h_old is asked about
 
@@ -69,12 +70,12 @@ def train_old(
 ) -> Schema:
     """h_old from theta (T, N) [rad], f (T, M) [N], length (T, M) [m]. Reproducible by seed.
 
+    Samples in which a wire may be slack are left out.
+
     Raises:
         TrainingError: too few samples, or one that is not finite.
     """
-    if len(theta) < 10 or not all(np.isfinite(a).all() for a in (theta, f, length)):
-        raise TrainingError(f"{len(theta)} samples, or one that is no number: nothing is learned")
-    reference = length.mean(axis=0)
+    theta, f, length = taut(theta, f, length)
     blank = Schema(
         joints=joints,
         muscles=muscles,
@@ -82,7 +83,7 @@ def train_old(
         theta_scale_rad=np.abs(theta).max(axis=0),
         tension_scale_n=np.abs(f).max(axis=0),
         length_scale_m=np.ptp(length, axis=0) / 2,
-        length_reference_m=reference,
+        length_reference_m=length.mean(axis=0),
         length_sigma_m=np.ones(len(muscles)),
         angle_sigma_rad=np.ones(len(joints)),
         theta_range_rad=_range(theta),
@@ -251,7 +252,7 @@ def _train(
 
     count = len(new.targets)
     per_epoch = math.ceil(count / recipe.batch)
-    epochs = math.ceil(recipe.steps / per_epoch)
+    epochs = max(recipe.passes, math.ceil(recipe.steps / per_epoch))
     steps = epochs * per_epoch
     for epoch in range(epochs):
         w = old[1](epoch / epochs) if old else 0.0
