@@ -77,4 +77,3 @@ def collect_old(
         progress((segment + 1) * SEGMENT_S / duration_s)
     theta, f, length = (np.array(column) for column in zip(*rows, strict=True))
     return Recording(settings.joints, tuple(plant.wires), theta, f, length)
-

@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # the command is listed without importing what it runs
     from experiments.score import Score
     from experiments.sequence import Result, Trace
     from experiments.session import Session
+    from runtime.settings import RobotSettings
 
 PAPER = {"before": ("0.0214", "7.74", "-"), "after": ("0.0245", "3.54", "-")}
 
@@ -91,7 +92,7 @@ def _demo(args: argparse.Namespace) -> int:
         narrate = stack.enter_context(bars())
         result = run_sequence(session, trace, narrate)
     recording = next(iter(sorted(run_dir.glob("*.rrd"))), None)
-    picture = _draw(settings.name, run_dir, trace, result)
+    picture = _draw(settings, run_dir, trace, result)
     figures = {
         "before": _figures(result.before),
         "after": _figures(result.after),
@@ -149,7 +150,7 @@ def _print(result: Result, figures: dict[str, Any], wall_s: float) -> None:
     print(f"picture                      {figures['summary_png']}")
 
 
-def _draw(name: str, run_dir: Path, trace: Trace, result: Result) -> Path:
+def _draw(settings: RobotSettings, run_dir: Path, trace: Trace, result: Result) -> Path:
     from dashboard.summary import draw_summary
 
     path = run_dir / "summary.png"
@@ -161,7 +162,8 @@ def _draw(name: str, run_dir: Path, trace: Trace, result: Result) -> Path:
         tension_n=trace.tensions(),
         marks=trace.marks,
         table=rows,
-        title=f"{name}: a muscle is added while the robot runs",
+        added=[settings.spare[0].name],
+        title=f"{settings.name}: a muscle is added while the robot runs",
     )
     return path
 

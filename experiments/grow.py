@@ -31,7 +31,9 @@ def run(args: argparse.Namespace) -> int:
     """Run every seed; one line each."""
     settings = load_robot(args.robot)
     runs: list[dict[str, Any]] = []
-    print("seed  E_theta before after [rad]  ratio   sigma_f before after [N]  ratio  peak N  x real")
+    print(
+        "seed  E_theta before after [rad]  ratio   sigma_f before after [N]  ratio  peak N  x real"
+    )
     with bars() as narrate:
         for seed in range(args.seed, args.seed + args.seeds):
             result, faster = grow(settings, seed, narrate)

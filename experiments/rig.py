@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable
+from time import perf_counter
 from typing import Any
 
 from hardware_sim.robot import SimulatedRobot
@@ -56,7 +57,9 @@ class Rig:
         if services:
             self.estimator = self.add(Estimator(settings))
             self.retrainer = self.add(
-                Retrainer(settings, MemoryStore(), shipped_schema(settings), _at_once)
+                Retrainer(
+                    settings, MemoryStore(), shipped_schema(settings), _at_once, wall_s=perf_counter
+                )
             )
             skeleton = Skeleton(settings.body_file, settings.joints)
             self.executive = self.add(Executive(settings, skeleton, MemoryStore(), seed))

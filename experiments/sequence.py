@@ -20,6 +20,7 @@ HOLD_DEG = 60.0  # where the arm holds while the muscle is plugged in
 GROWTH_LIMIT_S = 240.0
 TASK_LIMIT_S = 300.0
 TRACE_NS = 50_000_000
+STAGES = ("collect", "relearn", "adopt", "resume")
 
 Narrate = Callable[[str, int, int], None]  # what is being done, step, steps
 
@@ -38,7 +39,6 @@ class Trace:
     _reference: float = float("nan")
     _measured: float = float("nan")
     _chains: dict[str, m.ChainState] = field(default_factory=dict)
-    _stage: str = ""
     _next_ns: int = 0
 
     def see(self, message: Message) -> None:
@@ -46,16 +46,14 @@ class Trace:
         if isinstance(message, m.ExecutiveState):
             if message.reference_rad:
                 self._reference = float(np.degrees(message.reference_rad[0]))
-            if message.growing and message.stage != self._stage:
-                if message.stage in ("collect", "relearn", "adopt", "resume"):
-                    self.marks.append((message.stamp_ns * 1e-9, message.stage))
-                self._stage = message.stage
+            if message.growing and message.stage in STAGES:
+                self._mark(message.stage, message.stamp_ns)
         elif isinstance(message, m.JointState):
             self._measured = float(np.degrees(message.angle_rad[0]))
         elif isinstance(message, m.ChainState):
             self._chains[message.chain] = message
         elif isinstance(message, m.Event) and message.kind == "plugged":
-            self.marks.append((message.stamp_ns * 1e-9, "plug"))
+            self._mark("plug", message.stamp_ns)
         elif isinstance(message, m.WorldTruth) and message.stamp_ns >= self._next_ns:
             self._next_ns = message.stamp_ns + TRACE_NS
             self.time_s.append(message.stamp_ns * 1e-9)
@@ -69,6 +67,11 @@ class Trace:
                     for name, tension in zip(state.muscles, state.tension_n, strict=True)
                 }
             )
+
+    def _mark(self, label: str, stamp_ns: int) -> None:
+        """The first moment of a stage: one that was interrupted comes again."""
+        if label not in [name for _, name in self.marks]:
+            self.marks.append((stamp_ns * 1e-9, label))
 
     def tensions(self) -> dict[str, list[float]]:
         """Muscle -> tension over time; NaN while it is not there."""
@@ -106,9 +109,9 @@ def run_sequence(session: Session, trace: Trace, narrate: Narrate, spare: str = 
     session.wait(_settled, 20.0, "the arm holding a posture")
     candidates: list[m.SchemaCandidate] = []
     session.watchers.append(
-        lambda message: candidates.append(message)
-        if isinstance(message, m.SchemaCandidate)
-        else None
+        lambda message: (
+            candidates.append(message) if isinstance(message, m.SchemaCandidate) else None
+        )
     )
     progress = _GrowthProgress(narrate)
     session.watchers.append(progress.see)

@@ -255,7 +255,6 @@ class Plant:
         return np.random.default_rng(zlib.crc32(text.encode()))
 
 
-
 def _nominal_path(tendon: Any) -> MusclePath:
     places = []
     for wrap in tendon.path:

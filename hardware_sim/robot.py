@@ -161,9 +161,7 @@ class SimulatedRobot:
         module = self._modules.pop(name)
         chain = self._chain_of.pop(name)
         self.chains[chain].unplug(module.serial)
-        self._shelf[name] = _Shelved(
-            chain=chain, path=self._paths.pop(name), module=module.save()
-        )
+        self._shelf[name] = _Shelved(chain=chain, path=self._paths.pop(name), module=module.save())
         index = self.plant.wires.index(name)
         self.bank.remove(index)
         self.plant.remove_muscle(name)

@@ -35,6 +35,7 @@ STALE_NS = 100_000_000  # sensor data older than this are silence
 LEASE_NS = 200_000_000
 FADE_S = 0.8
 GUEST_BIAS_N = 5.0
+GUEST_RATE_N_S = 60.0  # how fast a guest's tension changes
 SLEW_SHARE = 0.8  # of the winding speed that targets may use
 
 
@@ -47,7 +48,8 @@ class Arm:
         self.schema: Schema | None = None
         self.path: Path | None = None
         self.plan: Plan | None = None
-        self.guest_bias_n: dict[str, float] = {}
+        self.guest_bias_n: dict[str, float] = {}  # what guests shall pull with, by and by
+        self._guest_now_n: dict[str, float] = {}
         self._bodies: dict[str, ChainBody] = {}
         self._states: dict[str, ChainState] = {}
         self._joints: JointState | None = None
@@ -116,6 +118,7 @@ class Arm:
         self.schema = schema
         for name in schema.muscles:
             self.guest_bias_n.pop(name, None)
+            self._guest_now_n.pop(name, None)
         self.plan = None
         if self.path is not None:
             theta, _ = self.path.now()
@@ -197,11 +200,18 @@ class Arm:
         for name in felt:
             if name not in planned:
                 targets[name] = felt[name][0]  # without stiffness it means nothing: follow
+                self._lead_guest(name, dt_s)
                 continue
             target = planned[name][1] + share * self._offset_m.get(name, 0.0)
             last = self._target_m.get(name, target)
             targets[name] = min(max(target, last - reach), last + reach)
         self._target_m = targets
+
+    def _lead_guest(self, name: str, dt_s: float) -> None:
+        now = self._guest_now_n.get(name, GUEST_BIAS_N)
+        step = GUEST_RATE_N_S * dt_s
+        change = self.guest_bias_n.get(name, GUEST_BIAS_N) - now
+        self._guest_now_n[name] = now + min(max(change, -step), step)
 
     def commands(self, now_ns: int) -> Iterator[ChainCommand]:
         """What `step` decided, one message a chain."""
@@ -217,7 +227,7 @@ class Arm:
                 lease_ns=LEASE_NS,
                 muscles=state.muscles,
                 bias_n=tuple(
-                    planned.get(name, self.guest_bias_n.get(name, GUEST_BIAS_N))
+                    planned.get(name, self._guest_now_n.get(name, GUEST_BIAS_N))
                     for name in state.muscles
                 ),
                 stiffness_n_m=tuple(stiffness if k else 0.0 for k in known),

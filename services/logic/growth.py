@@ -140,9 +140,7 @@ class Growth:
         """Motions up to `until`, one after the other; the guest's bias runs along each."""
         record, arm = self.record, self._arm
         if len(record.motions) >= until:
-            arm.guest_bias_n[record.muscle] = GUEST_BIAS_N
-            if then:
-                self._enter(then)
+            self._enter(then)
             return
         target = record.targets[len(record.motions)]
         if self._recorder is None:
@@ -160,6 +158,9 @@ class Growth:
             record.motions.append(self._recorder.motion())
             self._recorder = None
             self.dirty = True
+            if len(record.motions) == self.steps:
+                arm.guest_bias_n[record.muscle] = GUEST_BIAS_N
+                arm.go(np.array(record.return_rad))
 
     def _relearn(self, now_ns: int, dt_s: float) -> Iterator[Message]:
         """Ask for the relearning; meanwhile move for the check, on motions never trained on."""
@@ -172,7 +173,7 @@ class Growth:
             self._since_ask_s = 0.0
             yield self._job(now_ns)
         if len(record.motions) < self.steps:
-            self._collect(self.steps, "")
+            self._collect(self.steps, "relearn")
         elif self._candidate is not None:
             yield from self._check(now_ns, self._candidate)
         elif self._waited_s > TRAIN_LIMIT_S:
