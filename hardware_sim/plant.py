@@ -29,10 +29,15 @@ from runtime.settings import RobotSettings
 DT_S = 0.001
 START_TENSION_N = 8.0
 SLACK_M = 0.015  # of a wire that was just attached by hand
+STATE = mj.mjtState.mjSTATE_INTEGRATION  # with time and the solver's warm start
 
 
 class Plant:
-    """The simulated body. All arrays are matched by `joints` (N,) and `wires` (M,)."""
+    """The simulated body. All arrays are matched by `joints` (N,) and `wires` (M,).
+
+    Attributes:
+        paths: nominal paths of the body file's own wires.
+    """
 
     def __init__(self, settings: RobotSettings, seed: int = 0) -> None:
         self.settings = settings
@@ -40,7 +45,6 @@ class Plant:
         self.simulation = settings.simulation
         self.joints = settings.joints
         self.wires: list[str] = []
-        self.paths: dict[str, MusclePath] = {}  # nominal paths of the body file's own wires
         self._spec = mj.MjSpec.from_file(str(settings.body_file))
         self._prepare()
         self.model = self._spec.compile()
@@ -129,27 +133,33 @@ class Plant:
             self._spec.body(place.link).add_site(name=site, pos=position)
             tendon.wrap_site(site)
         self._as_wire(tendon)
-        self.model, self.data = self._spec.recompile(self.model, self.data)
+        friction_n = self.model.tendon_frictionloss.copy()
+        try:
+            self.model, self.data = self._spec.recompile(self.model, self.data)
+        except ValueError as error:
+            self._take_off(name)
+            words = str(error).splitlines()[0].removeprefix("Error: ")
+            raise ValueError(f"the wire of '{name}' cannot be led like that: {words}") from error
         self.wires.append(name)
         self.drive.add()
         self._bind()
-        mj.mj_forward(self.model, self.data)
+        self.model.tendon_frictionloss[:-1] = friction_n  # the other wires stick as they did
+        mj.mj_fwdPosition(self.model, self.data)
         self._rest_length[-1] = self.data.ten_length[-1] + SLACK_M
 
     def remove_muscle(self, name: str) -> None:
         """Take a wire off the body; everything else stays as it is."""
         index = self.wires.index(name)
         kept = np.delete(self._rest_length, index)
-        self._spec.delete(self._spec.tendon(name))
-        for site in list(self._spec.sites):
-            if site.name.startswith(f"{name}/"):
-                self._spec.delete(site)
+        friction_n = np.delete(self.model.tendon_frictionloss, index)
+        self._take_off(name)
         self.model, self.data = self._spec.recompile(self.model, self.data)
         self.wires.pop(index)
         self.drive.remove(index)
         self.ruptured.discard(name)
         self._bind()
         self._rest_length[:] = kept
+        self.model.tendon_frictionloss[:] = friction_n
 
     def rupture(self, name: str) -> None:
         """Break a wire: no tension from now on, its length runs free."""
@@ -160,13 +170,12 @@ class Plant:
 
     def snapshot(self) -> dict[str, Any]:
         """Everything that `restore` needs, of plain types."""
-        size = mj.mj_stateSize(self.model, mj.mjtState.mjSTATE_PHYSICS)
-        state = np.empty(size)
-        mj.mj_getState(self.model, self.data, state, mj.mjtState.mjSTATE_PHYSICS)
+        state = np.empty(mj.mj_stateSize(self.model, STATE))
+        mj.mj_getState(self.model, self.data, state, STATE)
         return {
             "wires": list(self.wires),
             "state": state.tolist(),
-            "time_s": self.time_s,
+            "friction_n": self.model.tendon_frictionloss.tolist(),
             "speed_m_s": self.drive.speed_m_s.tolist(),
             "temperature_degc": self.drive.temperature_degc.tolist(),
             "ruptured": sorted(self.ruptured),
@@ -185,22 +194,21 @@ class Plant:
             raise ValueError("the snapshot's wires are in another order than the body's")
         self.ruptured = set(snapshot["ruptured"])
         self._bind()
-        mj.mj_setState(
-            self.model, self.data, np.array(snapshot["state"]), mj.mjtState.mjSTATE_PHYSICS
-        )
-        self.data.time = snapshot["time_s"]
+        mj.mj_setState(self.model, self.data, np.array(snapshot["state"]), STATE)
+        self.model.tendon_frictionloss[:] = snapshot["friction_n"]
         self.drive.speed_m_s[:] = snapshot["speed_m_s"]
         self.drive.temperature_degc[:] = snapshot["temperature_degc"]
-        mj.mj_forward(self.model, self.data)
+        mj.mj_fwdPosition(self.model, self.data)
 
     # ── inside ────────────────────────────────────────────────────────────────────────────────
 
     def _prepare(self) -> None:
         for actuator in list(self._spec.actuators):
             self._spec.delete(actuator)
+        # before anything is displaced: wires may share a site
+        self.paths = {tendon.name: _nominal_path(tendon) for tendon in self._spec.tendons}
         for tendon in self._spec.tendons:
             rng = self._rng(tendon.name)
-            self.paths[tendon.name] = _nominal_path(tendon)
             for wrap in tendon.path:
                 if wrap.type == mj.mjtWrap.mjWRAP_SITE:
                     wrap.target.pos = wrap.target.pos + self._assembly_error(rng)
@@ -208,6 +216,12 @@ class Plant:
             self.wires.append(tendon.name)
         self._spec.option.timestep = DT_S
         self._spec.option.integrator = mj.mjtIntegrator.mjINT_EULER
+
+    def _take_off(self, name: str) -> None:
+        self._spec.delete(self._spec.tendon(name))
+        for site in list(self._spec.sites):
+            if site.name.startswith(f"{name}/"):
+                self._spec.delete(site)
 
     def _as_wire(self, tendon: Any) -> None:
         tendon.stiffness = list(self.simulation.elastic_n_m)
