@@ -17,13 +17,16 @@ from numpy.typing import NDArray
 from hardware_sim.muscle_rows import ROWS, Array, MuscleRows
 from runtime.wire.registers import HardwareError, Status
 
-GAIN_M_S_N = 0.002  # x 40 kN/m x 1 ms = 0.08: far from the 1 at which the loop would ring
+# The elastic element stiffens with tension, so the loop's gain falls with it: a slack wire is wound
+# in quickly, and gain x stiffness x (motor lag + 1 ms) stays near 0.2 from slack to the limit.
+GAIN_M_S_N = 0.006
+GAIN_HALVES_AT_N = 40.0
 GUARD_GAIN_M_S_N = 0.01  # 15 N above the guard pays out 0.15 m/s; x 40 kN/m x 1 ms = 0.4
 LOOK_AHEAD_S = 0.002  # the guard looks at the tension that comes, as the motor lags behind
 GUARD = 0.88  # of the tension limit: no reference above it, and the guard pays out from there
-# A slack side is paid out at up to GAIN x 50 N = 0.1 m/s: with f_ref >= 0 it would lag behind the
+# A slack side is paid out at up to GAIN x 25 N = 0.15 m/s: with f_ref >= 0 it would lag behind the
 # joint, as there is no tension left for the loop to see.
-SLACK_REFERENCE_N = -50.0
+SLACK_REFERENCE_N = -25.0
 STOP_SPEED_M_S = 0.05
 STOP_TENSION_N = 3.0  # below, a stopping wire is slack ...
 RESUME_TENSION_N = 6.0  # ... above, a stopped one carries the sinking arm again: pay out more
@@ -106,6 +109,7 @@ class MuscleBank(MuscleRows):
         np.maximum(reference, SLACK_REFERENCE_N, out=reference)
         np.subtract(tension, reference, out=speed)
         speed *= self._gain
+        speed /= 1.0 + np.maximum(tension, 0.0) / GAIN_HALVES_AT_N
         speed += self._pay_out_m_s
 
         guard = self._guard

@@ -36,6 +36,7 @@ LEASE_NS = 200_000_000
 FADE_S = 0.8
 GUEST_BIAS_N = 5.0
 GUEST_RATE_N_S = 60.0  # how fast a guest's tension changes
+GUEST_TORQUE_S = 0.12  # time constant of the estimate of what guests do to the joints
 SLEW_SHARE = 0.8  # of the winding speed that targets may use
 
 
@@ -50,6 +51,7 @@ class Arm:
         self.plan: Plan | None = None
         self.guest_bias_n: dict[str, float] = {}  # what guests shall pull with, by and by
         self._guest_now_n: dict[str, float] = {}
+        self._guest_torque_nm = np.zeros(len(settings.joints))
         self._bodies: dict[str, ChainBody] = {}
         self._states: dict[str, ChainState] = {}
         self._joints: JointState | None = None
@@ -120,6 +122,7 @@ class Arm:
             self.guest_bias_n.pop(name, None)
             self._guest_now_n.pop(name, None)
         self.plan = None
+        self._guest_torque_nm[:] = 0.0
         if self.path is not None:
             theta, _ = self.path.now()
             self.path = Path.between(theta, theta, self._floor(), self._floor(), 1.0)
@@ -137,11 +140,13 @@ class Arm:
         self._target_m.clear()
         self.anchor()
 
-    def go(self, goal_rad: Array, extra_floor_n: Array | float = 0.0) -> None:
+    def go(
+        self, goal_rad: Array, extra_floor_n: Array | float = 0.0, speed_deg_s: float = 0.0
+    ) -> None:
         """Set out for a posture (N,), every schema muscle at least at floor + extra (M,) there."""
         start, floor = (self.angle_rad, self._floor()) if self.path is None else self.path.now()
         low, high = self.skeleton.range_rad.T
-        speed = np.radians(self.settings.control.joint_speed_deg_s)
+        speed = np.radians(speed_deg_s or self.settings.control.joint_speed_deg_s)
         self.path = Path.between(
             start, np.clip(goal_rad, low, high), floor, self._floor() + extra_floor_n, speed
         )
@@ -168,15 +173,33 @@ class Arm:
         theta, floor = self.path.now()
         there = np.array([name in felt for name in self.schema.muscles])
         ceiling = np.where(there, self.settings.control.tension_ceiling_n, 0.0)
+        self._feel_guests(felt, dt_s)
         self.plan = plan(
             self.schema,
             theta,
-            self.skeleton.gravity_torque_nm(theta),
+            self.skeleton.gravity_torque_nm(theta) - self._guest_torque_nm,
             np.minimum(floor, ceiling),
             ceiling,
             None if self.plan is None else self.plan.tension_n,
         )
         self._aim(felt, dt_s)
+
+    def _feel_guests(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
+        """What guests do to the joints [Nm], from what is left of the balance of torques.
+
+        At rest gravity, known muscles and guests balance: the first two are known. The old
+        muscles then carry the guest, instead of being pushed aside and falling slack.
+        """
+        assert self.schema is not None
+        known = self.schema.muscles
+        if all(name in known for name in felt) or any(name not in felt for name in known):
+            self._guest_torque_nm[:] = 0.0
+            return
+        theta = self.angle_rad
+        tension = np.array([max(felt[name][1], 0.0) for name in known])
+        jacobian = self.schema.lengths_jacobian(theta, tension)  # (M, N)
+        torque = self.skeleton.gravity_torque_nm(theta) + tension @ jacobian
+        self._guest_torque_nm += (torque - self._guest_torque_nm) * min(dt_s / GUEST_TORQUE_S, 1.0)
 
     def _aim(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
         """Targets for all muscles: the plan, the fading offset, and never faster than the motor."""

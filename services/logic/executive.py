@@ -18,7 +18,7 @@ from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings
 from services.body_schema.schema import Schema, SchemaError
 from services.logic.arm import AUTHOR, Arm
-from services.logic.growth import Growth, GrowthRecord, spread_targets
+from services.logic.growth import Growth, GrowthRecord, Target, spread_targets
 from services.logic.skeleton import Skeleton
 
 MEASURE_S = 0.2  # the arm is called settled for this long at each target
@@ -210,8 +210,19 @@ class Executive:
     ) -> None:
         growth = self.settings.growth
         assert self.arm.schema is not None
+        known = self.arm.schema.muscles
         count = {"grow": n_new or growth.n_new, "refit": 2, "shrink": 0}[kind]
         rng = np.random.default_rng([self._seed, len(muscles), self._schema_version])
+
+        def targets(number: int) -> tuple[Target, ...]:
+            return spread_targets(
+                number,
+                self.arm.skeleton.range_rad,
+                len(known),
+                (growth.bias_min_n, growth.bias_max_n),
+                rng,
+            )
+
         record = GrowthRecord(
             kind=kind,
             muscle=muscle,
@@ -222,13 +233,7 @@ class Executive:
             n_new=count,
             n_check=growth.n_check,
             return_rad=self._memory.goal_rad or tuple(self.arm.reference_rad.tolist()),
-            targets=spread_targets(
-                count + growth.n_check,
-                self.arm.skeleton.range_rad,
-                len(self.arm.schema.muscles),
-                (growth.bias_min_n, growth.bias_max_n),
-                rng,
-            ),
+            targets=targets(count) + targets(growth.n_check),
         )
         self._memory.growth = record
         self._growth = Growth(record, self.arm, growth.residual_limit_mm)

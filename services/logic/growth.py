@@ -35,6 +35,9 @@ JOIN_LIMIT_S = 20.0
 TRAIN_LIMIT_S = 180.0
 REPEAT_S = 1.0  # of the job, until the retrainer is heard
 FLOOR_SPREAD_N = 12.0  # co-contraction that motions add at random
+RANGE_MARGIN = 0.03  # of the joints' ranges that motions leave out at either end
+DESIGNS = 200
+SPEED_DEG_S = 80.0  # of the fastest joint in a motion
 
 
 class Target(msgspec.Struct, frozen=True):
@@ -146,7 +149,7 @@ class Growth:
         if self._recorder is None:
             self._recorder = MotionRecorder(record.muscles)
             self._bias_from, self._bias = self._bias, target.bias_n
-            arm.go(np.array(target.angle_rad), np.array(target.floor_n))
+            arm.go(np.array(target.angle_rad), np.array(target.floor_n), SPEED_DEG_S)
         path = arm.path
         assert path is not None
         share = min(path.elapsed_s / path.duration_s, 1.0)
@@ -257,23 +260,43 @@ def spread_targets(
     bias_n: tuple[float, float],
     rng: np.random.Generator,
 ) -> tuple[Target, ...]:
-    """Postures and tensions that lie far apart: each quantity is stratified over its range.
+    """Postures and guest tensions that lie far apart, in an order that travels far.
 
-    `range_rad` is (N, 2); `muscles` is the number of the old schema's muscles. Random motions of
-    the same number leave gaps, and gaps are what a few motions cannot afford (science.md).
+    `range_rad` is (N, 2); `muscles` is the number of the old schema's muscles. A maximin Latin
+    hypercube (Morris & Mitchell 1995): each quantity is stratified over its whole range, and of
+    many such designs the one is taken whose nearest two motions lie farthest apart. Random motions
+    leave gaps, and gaps are what a few motions cannot afford (science.md).
     """
-    joints = len(range_rad)
-
-    def strata(columns: int) -> Array:
-        cells = np.stack([rng.permutation(count) for _ in range(columns)], axis=1)
-        return np.asarray((cells + rng.uniform(0.2, 0.8, cells.shape)) / count)
-
+    if count == 0:
+        return ()
+    design = max((_hypercube(count, len(range_rad) + 1, rng) for _ in range(DESIGNS)), key=_nearest)
+    order = [int(rng.integers(count))]
+    while len(order) < count:  # always on to the posture farthest from the present one
+        distance = np.linalg.norm(design[:, :-1] - design[order[-1], :-1], axis=1)
+        distance[order] = -1.0
+        order.append(int(np.argmax(distance)))
     low, high = range_rad.T
-    margin = 0.06 * (high - low)
-    postures = low + margin + strata(joints) * (high - low - 2 * margin)
-    biases = bias_n[0] + strata(1)[:, 0] * (bias_n[1] - bias_n[0])
+    margin = RANGE_MARGIN * (high - low)
+    postures = low + margin + design[order, :-1] * (high - low - 2.0 * margin)
+    biases = bias_n[0] + design[order, -1] * (bias_n[1] - bias_n[0])
     floors = rng.uniform(0.0, FLOOR_SPREAD_N, (count, muscles))
     return tuple(
         Target(tuple(p.tolist()), tuple(f.tolist()), float(b))
         for p, f, b in zip(postures, floors, biases, strict=True)
     )
+
+
+def _hypercube(count: int, columns: int, rng: np.random.Generator) -> Array:
+    """One Latin hypercube over 0..1, (count, columns), that touches the ends of every range."""
+    if count == 1:
+        return rng.uniform(size=(1, columns))
+    cells = np.stack([rng.permutation(count) for _ in range(columns)], axis=1)
+    jitter = rng.uniform(-0.3, 0.3, cells.shape)
+    return np.asarray(np.clip((cells + jitter) / (count - 1), 0.0, 1.0))
+
+
+def _nearest(design: Array) -> float:
+    """Distance between the two nearest rows."""
+    gaps = np.linalg.norm(design[:, None] - design[None], axis=-1)
+    gaps[np.diag_indices(len(design))] = np.inf
+    return float(gaps.min())

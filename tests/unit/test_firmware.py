@@ -75,18 +75,18 @@ def following(bias_n: float, stiffness_n_m: float, target_m: float, **values: fl
 @pytest.mark.parametrize(
     ("goals", "tension_n", "length_m", "speed_m_s"),
     [
-        # f_ref = 10 + 20000 * 1 mm = 30 N, speed = 0.002 * (f - f_ref)
+        # f_ref = 10 + 20000 * 1 mm = 30 N, speed = 0.006 * (f - f_ref) / (1 + f / 40 N)
         ((10.0, 20_000, 0.050), 30.0, 0.051, 0.0),
-        ((10.0, 20_000, 0.050), 20.0, 0.051, -0.02),
-        ((10.0, 20_000, 0.050), 50.0, 0.051, 0.04),
+        ((10.0, 20_000, 0.050), 20.0, 0.051, -0.04),
+        ((10.0, 20_000, 0.050), 50.0, 0.051, 0.12 / 2.25),
         # new muscle: no stiffness, the bias alone
-        ((12.0, 0, 0.0), 2.0, 0.3, -0.02),
-        # slack side: f_ref = 10 - 20000 * 2 mm = -30 N pays out although there is no tension
-        ((10.0, 20_000, 0.052), 0.0, 0.050, 0.06),
-        # ... and is cut at -50 N
-        ((10.0, 20_000, 0.060), 0.0, 0.050, 0.1),
+        ((12.0, 0, 0.0), 2.0, 0.3, -0.06 / 1.05),
+        # slack side: f_ref = 10 - 20000 * 1 mm = -10 N pays out although there is no tension
+        ((10.0, 20_000, 0.051), 0.0, 0.050, 0.06),
+        # ... and is cut at -25 N
+        ((10.0, 20_000, 0.060), 0.0, 0.050, 0.15),
         # f_ref = 410 N is cut to 0.88 of 150 N = 132 N
-        ((10.0, 20_000, 0.050), 122.0, 0.070, -0.02),
+        ((10.0, 20_000, 0.050), 122.0, 0.070, -0.06 / 4.05),
         ((10.0, 20_000, 0.050), 132.0, 0.070, 0.0),
     ],
 )
@@ -212,7 +212,7 @@ def test_stop_pays_out_slowly_until_slack(torque: int) -> None:
     assert bench.is_in(Mode.STOPPED)  # latched
     bench.write("stop", 0)
     assert bench.is_in(Mode.OFF if torque else Mode.FOLLOWING)
-    assert bench.step() == (0.0 if torque else 0.002)  # 1 N, and 0 N is wanted
+    assert bench.step() == pytest.approx(0.0 if torque else 0.006 / 1.025)  # 1 N, 0 N is wanted
 
 
 def test_overheating_reduces_tension_slowly() -> None:
@@ -221,7 +221,7 @@ def test_overheating_reduces_tension_slowly() -> None:
     bench.temperature_degc = 81.0
     speeds = [bench.step() for _ in range(10_000)]
     assert max(np.diff(speeds)) < 0.001  # never at once
-    assert speeds[-1] == pytest.approx(0.002 * (100 - 0.3 * 132))
+    assert speeds[-1] == pytest.approx(0.006 * (100 - 0.3 * 132) / 3.5)
     assert bench.read("hardware_error") == HardwareError.OVERHEATING
     assert bench.module.alert
     bench.temperature_degc = 60.0
@@ -327,7 +327,7 @@ def test_tension_limit_register_limits() -> None:
     bench.write("tension_limit", 50.0)
     bench.write("torque_enable", 1)
     bench.goals(100.0, 0, 0.0)
-    assert bench.feel(34.0) == pytest.approx(0.002 * (34 - 44))
+    assert bench.feel(34.0) == pytest.approx(0.006 * (34 - 44) / 1.85)
 
 
 def test_reboot_forgets_ram_and_keeps_eeprom() -> None:
@@ -428,7 +428,7 @@ def test_modules_keep_their_muscle_when_others_go() -> None:
     assert bank.bias_n.tolist() == [0.01, 0.03]
     zeros = np.zeros(2)
     speeds = bank.step(0.001, zeros, zeros, zeros, MS)
-    assert speeds.tolist() == pytest.approx([-0.00002, -0.00006])
+    assert speeds.tolist() == pytest.approx([-0.00006, -0.00018])
     MuscleModule(bank, bank.add(), 4)
     assert len(bank) == 3
     assert bank.mode.tolist() == [Mode.FOLLOWING, Mode.FOLLOWING, Mode.OFF]
