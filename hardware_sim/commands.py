@@ -75,7 +75,7 @@ class Fault:
       drop      chain or muscle  probability that a packet is lost
       delay     chain or muscle  seconds that answers come late
       cable     chain            modules before the place where the cable is pulled
-      stuck     muscle or joint  its sensor gives its last reading for ever
+      stuck     muscle or joint  its load cell or angle sensor gives its last reading
       rupture   muscle           its wire is torn
       overheat  muscle           degC that its motor is hotter than its load makes it
 

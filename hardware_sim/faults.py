@@ -7,7 +7,7 @@ Kinds, the target they name, and what their amount means:
     delay     chain or module  seconds that answers come late
     cable     chain            modules before the place where the cable was pulled
               module           the cable just before this module was pulled
-    stuck     muscle or joint  1: its sensor gives its last reading for ever
+    stuck     muscle or joint  1: its load cell or angle sensor gives its last reading for ever
     rupture   muscle           1: its wire is torn
     overheat  muscle           degC that its motor is hotter than its load makes it
 
@@ -54,7 +54,7 @@ class Faults:
             raise ValueError(f"no fault {kind!r}; there are {', '.join(KINDS)}")
         if amount < 0.0 or (kind in ("corrupt", "drop") and amount > 1.0):
             raise ValueError(f"{kind} cannot have the amount {amount:g}")
-        if amount == 0.0 and kind in ("rupture", "stuck"):
+        if amount == 0.0 and kind == "rupture":
             amount = 1.0
         if amount == 0.0 and kind != "cable":
             self.clear(kind, target)

@@ -1,4 +1,4 @@
-"""The simulated robot: a body, its muscle modules and their daisy chains, one millisecond at a time.
+"""The simulated robot: body, muscle modules and daisy chains, one millisecond at a time.
 
 What goes in and out is what a robot has: bytes on the chains, and hands that plug a module in or
 pull it off. Everything else (`truth`) is for scoring.
@@ -7,6 +7,7 @@ pull it off. Everything else (`truth`) is for scoring.
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 
 STEP_NS = 1_000_000
 NOISE_BLOCK = 1000  # rows of noise drawn at once: a draw of one row costs as much as forty
+MUSCLE_FAULTS = ("rupture", "overheat")  # what only a muscle can have
 LOAD_CELL_OFFSET_N = 1.5  # spread of load cells that nobody tared
 
 
@@ -63,6 +65,7 @@ class SimulatedRobot:
         self._encoder_offset_m = np.zeros(0)
         self._tension_n = np.zeros(0)
         self._peaks = np.zeros((2, 0))
+        self._stuck: dict[str, float] = {}  # what a stuck load cell [N] or angle sensor [rad] says
         self._assemble()
 
     # ── time ──────────────────────────────────────────────────────────────────────────────────
@@ -77,9 +80,13 @@ class SimulatedRobot:
         noise = self._noise[self._noise_row]
         self._noise_row += 1
         count = len(tension)
+        load = tension + self._cell_offset_n + simulation.tension_noise_n * noise[:count]
+        for name, reading in self._stuck.items():
+            if name in self._modules:
+                load[plant.wires.index(name)] = reading
         speed = self.bank.step(
             DT_S,
-            tension + self._cell_offset_n + simulation.tension_noise_n * noise[:count],
+            load,
             plant.wire_length_m
             - self._encoder_offset_m
             + simulation.length_noise_m * noise[count:],
@@ -112,11 +119,11 @@ class SimulatedRobot:
         name = request.muscle
         if name in self._modules:
             raise PlugError(f"muscle '{name}' is plugged in already")
-        shelved = self._shelf.pop(name, None)
+        shelved = self._shelf.get(name)
         spare = next((s for s in self.settings.spare if s.name == name), None)
         path = request.path or (shelved.path if shelved else spare.path if spare else None)
         if path is None:
-            known = ", ".join(s.name for s in self.settings.spare) or "none"
+            known = _list([s.name for s in self.settings.spare]) or "none"
             raise PlugError(
                 f"no spare '{name}' in the robot file (spares: {known}); give a path with --path"
             )
@@ -126,17 +133,17 @@ class SimulatedRobot:
             or next(iter(self.chains))
         )
         if chain not in self.chains:
-            raise PlugError(f"no chain '{chain}'; there are: {', '.join(self.chains)}")
+            raise PlugError(f"no chain '{chain}'; there are: {_list(self.chains)}")
         try:
             self.plant.add_muscle(name, path)
         except ValueError as error:
             raise PlugError(str(error)) from error
+        self._shelf.pop(name, None)
         self._paths[name] = path
         serial = serial_number(self.settings.name, name)
         module = self._add_module(name, chain, serial, request.module_id)
         if shelved:  # switched on anew: it knows its id, and its encoder begins at zero again
-            column = {**module.save(), **shelved.module}
-            module.restore(column)
+            module.restore(shelved.module)
             module.reboot()
         self._encoder_offset_m[-1] = self.plant.wire_length_m[-1] + self._rng.normal(0.0, 0.01)
         return m.Event(
@@ -156,7 +163,7 @@ class SimulatedRobot:
         """
         name = request.muscle
         if name not in self._modules:
-            known = ", ".join(self._modules)
+            known = _list(self._modules)
             raise PlugError(f"no muscle '{name}' is plugged in; there are: {known}")
         module = self._modules.pop(name)
         chain = self._chain_of.pop(name)
@@ -165,6 +172,7 @@ class SimulatedRobot:
         index = self.plant.wires.index(name)
         self.bank.remove(index)
         self.plant.remove_muscle(name)
+        self.faults.clear("rupture", name)  # should it come back, it has a wire again
         self._cell_offset_n = np.delete(self._cell_offset_n, index)
         self._encoder_offset_m = np.delete(self._encoder_offset_m, index)
         self._peaks = np.delete(self._peaks, index, axis=1)
@@ -182,18 +190,26 @@ class SimulatedRobot:
         """Break something, or mend it (amount 0 where that makes sense).
 
         Raises:
-            PlugError: no such kind of fault or no such target.
+            PlugError: no such kind of fault or nothing of that name that can have it.
         """
-        targets = {*self.chains, *self._modules, *self.plant.joints}
-        if request.target not in targets:
-            known = ", ".join(sorted(targets))
-            raise PlugError(f"nothing is called '{request.target}'; there are: {known}")
+        name = request.target
+        targets = [*self._modules]
+        if request.kind not in MUSCLE_FAULTS:
+            targets += self.plant.joints
+        if request.kind not in (*MUSCLE_FAULTS, "stuck"):
+            targets += self.chains
+        if name not in targets:
+            raise PlugError(f"nothing called '{name}' can have that; there are: {_list(targets)}")
         try:
-            self.faults.set(request.kind, request.target, request.amount)
+            self.faults.set(request.kind, name, request.amount)
         except ValueError as error:
             raise PlugError(str(error)) from error
         if request.kind == "rupture":
-            self.plant.rupture(request.target)
+            self.plant.rupture(name)
+        elif request.kind == "stuck" and self.faults.amount("stuck", name) is None:
+            self._stuck.pop(name, None)
+        elif request.kind == "stuck" and name not in self._stuck:
+            self._stuck[name] = self._reading(name)
         return m.Event(
             stamp_ns=self.now_ns,
             process="world",
@@ -234,7 +250,10 @@ class SimulatedRobot:
             "modules": {name: module.save() for name, module in self._modules.items()},
             "cell_offset_n": self._cell_offset_n.tolist(),
             "encoder_offset_m": self._encoder_offset_m.tolist(),
+            "tension_n": self._tension_n.tolist(),
             "peaks": self._peaks.tolist(),
+            "faults": [tuple(fault) for fault in self.faults.active],
+            "stuck": dict(self._stuck),
         }
 
     def restore(self, snapshot: dict[str, Any], now_ns: int) -> None:
@@ -259,7 +278,12 @@ class SimulatedRobot:
         self._paths = paths
         self._cell_offset_n = np.array(snapshot["cell_offset_n"])
         self._encoder_offset_m = np.array(snapshot["encoder_offset_m"])
+        self._tension_n = np.array(snapshot["tension_n"])
         self._peaks = np.array(snapshot["peaks"])
+        self.faults.clear()
+        for kind, target, amount in snapshot["faults"]:
+            self.faults.set(kind, target, amount)
+        self._stuck = dict(snapshot["stuck"])
         # the modules heard their master when the snapshot was taken
         self.bank.heard_ns += now_ns - snapshot["now_ns"]
         self.now_ns = now_ns
@@ -299,7 +323,16 @@ class SimulatedRobot:
             return 0.0
         return np.array([self.faults.amount("overheat", name) or 0.0 for name in self.plant.wires])
 
+    def _reading(self, name: str) -> float:
+        """What a muscle's load cell [N] or a joint's angle sensor [rad] reads, raw."""
+        if name not in self._modules:
+            return self._angle_reading(self.plant.joints.index(name))
+        index = self.plant.wires.index(name)
+        return float(self.bank.tension_n[index] + self.bank.tension_tare_n[index])
+
     def _angle_reading(self, number: int) -> float:
+        if self._stuck and (stuck := self._stuck.get(self.plant.joints[number])) is not None:
+            return stuck
         noise = self.settings.simulation.angle_noise_rad * self._rng.normal()
         return float(self.plant.angle_rad[number]) + noise
 
@@ -322,6 +355,10 @@ class SimulatedRobot:
         self._tension_n = np.append(self._tension_n, 0.0)
         self._peaks = np.append(self._peaks, np.zeros((2, 1)), axis=1)
         return module
+
+
+def _list(names: Iterable[str]) -> str:
+    return ", ".join(names)
 
 
 def serial_number(robot: str, name: str) -> int:
