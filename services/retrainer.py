@@ -17,7 +17,7 @@ def main(launch: Launch) -> None:
     learner = ThreadPoolExecutor(1, "learner")
 
     def warm_up() -> None:
-        learner.submit(importlib.import_module, "services.body_schema.train")
+        learner.submit(lambda: importlib.import_module("services.body_schema.train").warm_up())
 
     retrainer = Retrainer(
         launch.settings, launch.store, shipped, learner.submit, warm_up, time.perf_counter

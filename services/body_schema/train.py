@@ -57,6 +57,11 @@ METHODS: dict[str, Callable[[float], float]] = {  # done part of the epochs -> w
 }
 
 
+def warm_up() -> None:
+    """Make torch import what it leaves to its first optimiser: two seconds of the first job."""
+    torch.optim.Adam([torch.zeros(1, requires_grad=True)], fused=True)
+
+
 def train_old(
     joints: tuple[str, ...],
     muscles: tuple[str, ...],
