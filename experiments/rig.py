@@ -50,7 +50,7 @@ class Rig:
         self._due: dict[int, int] = {}
         self._woken: set[int] = set()
         self._readers: dict[type[Message], list[Logic]] = defaultdict(list)
-        self._replies: deque[tuple[int, m.BusReply]] = deque()
+        self._replies: dict[str, deque[tuple[int, m.BusReply]]] = defaultdict(deque)  # by chain
         self.drivers = [
             self.add(MuscleDriver(settings, chain.name, MemoryStore())) for chain in settings.chain
         ]
@@ -117,8 +117,9 @@ class Rig:
             truth = self.robot.truth()
             for watcher in self.watchers:
                 watcher(truth)
-        while self._replies and self._replies[0][0] <= now_ns:
-            self._publish([self._replies.popleft()[1]])
+        for waiting in self._replies.values():
+            while waiting and waiting[0][0] <= now_ns:
+                self._publish([waiting.popleft()[1]])
         for _ in range(8):  # answers to answers within the step: ends as logics fall silent
             ready = [
                 logic
@@ -139,10 +140,11 @@ class Rig:
         for message in messages:
             if type(message) is m.BusRequest:
                 reply, free_ns = self.robot.exchange(message)
-                if free_ns - now_ns <= LINE_SLACK_NS:
+                waiting = self._replies[message.chain]
+                if free_ns - now_ns <= LINE_SLACK_NS and not waiting:
                     self._deliver(reply)
                 else:
-                    self._replies.append((free_ns, reply))
+                    waiting.append((free_ns, reply))
                 continue
             self._deliver(message)
 

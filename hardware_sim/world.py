@@ -69,7 +69,9 @@ class World:
         self._master = {f"driver-{name}": name for name in self.robot.chains}
         self._alive: set[str] = set()  # chains whose master's token stands
         self._heard_ns = dict.fromkeys(self.robot.chains, now_ns)
-        self._replies: deque[tuple[int, m.BusReply]] = deque()
+        self._replies: dict[str, deque[tuple[int, m.BusReply]]] = {
+            name: deque() for name in self.robot.chains
+        }
         self._out: list[Message] = []
         self._clock_ns = self._truth_ns = now_ns
         self._save_ns = now_ns + SAVE_NS
@@ -125,8 +127,9 @@ class World:
 
     def _tell(self) -> None:
         now_ns = self.robot.now_ns
-        while self._replies and self._replies[0][0] <= now_ns:
-            self._out.append(self._replies.popleft()[1])
+        for waiting in self._replies.values():
+            while waiting and waiting[0][0] <= now_ns:
+                self._out.append(waiting.popleft()[1])
         if now_ns - self._truth_ns >= TRUTH_NS:
             self._truth_ns = now_ns
             self._out.append(self.robot.truth())
@@ -161,10 +164,11 @@ class World:
         elif isinstance(message, m.BusRequest) and message.chain in self.robot.chains:
             self._heard_ns[message.chain] = self.robot.now_ns
             reply, free_ns = self.robot.exchange(message)
-            if free_ns - self.robot.now_ns <= STEP_NS:
+            waiting = self._replies[message.chain]
+            if free_ns - self.robot.now_ns <= STEP_NS and not waiting:
                 self._out.append(reply)
             else:
-                self._replies.append((free_ns, reply))
+                waiting.append((free_ns, reply))
             if message.data[INSTRUCTION_AT : INSTRUCTION_AT + 1] == bytes([Instruction.WRITE]):
                 self._save_ns = min(self._save_ns, self.robot.now_ns + CLOCK_NS)
 
@@ -204,11 +208,14 @@ class World:
         data = self._store.load(SNAPSHOT)
         if data is None:
             return robot
+        comeback_ns = 0
         try:
             state = msgspec.msgpack.decode(data)
-            robot.restore(state["robot"], state["robot"]["now_ns"] + COMEBACK_NS)
-        except (msgspec.DecodeError, LookupError, ValueError, TypeError) as error:
+            self._incarnation = int(state["incarnation"]) + 1
+            comeback_ns = int(state["robot"]["now_ns"]) + COMEBACK_NS
+            robot.restore(state["robot"], comeback_ns)
+        except (msgspec.DecodeError, LookupError, ValueError, TypeError, AttributeError) as error:
             log.warning("the saved state does not fit this robot and is left aside: %s", error)
-            return SimulatedRobot(launch.settings, launch.seed)
-        self._incarnation = state["incarnation"] + 1
+            robot = SimulatedRobot(launch.settings, launch.seed)
+            robot.now_ns = comeback_ns  # if that at least could be read: time goes on
         return robot

@@ -49,12 +49,13 @@ class Arm:
         self.schema: Schema | None = None
         self.path: Path | None = None
         self.plan: Plan | None = None
+        self.excluded: set[str] = set()  # schema muscles that must not be relied on
         self.guest_bias_n: dict[str, float] = {}  # what guests shall pull with, by and by
         self._guest_now_n: dict[str, float] = {}
         self._guest_torque_nm = np.zeros(len(settings.joints))
         self._bodies: dict[str, ChainBody] = {}
         self._states: dict[str, ChainState] = {}
-        self._joints: JointState | None = None
+        self._angles: dict[str, tuple[float, int]] = {}  # joint -> angle [rad], stamp
         self._offset_m: dict[str, float] | None = None  # of targets from the plan, fading out
         self._fade_s = 0.0
         self._target_m: dict[str, float] = {}
@@ -66,7 +67,8 @@ class Arm:
         if isinstance(message, ChainState):
             self._states[message.chain] = message
         elif isinstance(message, JointState):
-            self._joints = message
+            for name, angle in zip(message.joints, message.angle_rad, strict=True):
+                self._angles[name] = (angle, message.stamp_ns)
         elif isinstance(message, ChainBody):
             self._bodies[message.chain] = message
 
@@ -80,8 +82,9 @@ class Arm:
                 return f"chain '{chain.name}' is silent"
             if chain.name not in self._bodies:
                 return f"chain '{chain.name}' has not said who is plugged in"
-        if self._joints is None or now_ns - self._joints.stamp_ns > STALE_NS:
-            return "joint angles are silent"
+        for joint in self.settings.joints:
+            if joint not in self._angles or now_ns - self._angles[joint][1] > STALE_NS:
+                return f"joint '{joint}' is silent"
         return ""
 
     @property
@@ -92,9 +95,7 @@ class Arm:
     @property
     def angle_rad(self) -> Array:
         """Measured joint angles, shape (N,)."""
-        assert self._joints is not None
-        angles = dict(zip(self._joints.joints, self._joints.angle_rad, strict=True))
-        return np.array([angles[name] for name in self.settings.joints])
+        return np.array([self._angles[name][0] for name in self.settings.joints])
 
     def felt(self) -> dict[str, tuple[float, float]]:
         """Length [m] and tension [N] of every muscle that is there."""
@@ -118,6 +119,7 @@ class Arm:
     def use(self, schema: Schema) -> None:
         """Control by this schema from now on; commands cross-fade."""
         self.schema = schema
+        self.excluded &= set(schema.muscles)
         for name in schema.muscles:
             self.guest_bias_n.pop(name, None)
             self._guest_now_n.pop(name, None)
@@ -171,7 +173,8 @@ class Arm:
         self.path.advance(dt_s)
         felt = self.felt()
         theta, floor = self.path.now()
-        there = np.array([name in felt for name in self.schema.muscles])
+        usable = self._usable(felt)
+        there = np.array([name in usable for name in self.schema.muscles])
         ceiling = np.where(there, self.settings.control.tension_ceiling_n, 0.0)
         self._feel_guests(felt, dt_s)
         self.plan = plan(
@@ -208,7 +211,7 @@ class Arm:
         planned = {
             name: (float(self.plan.tension_n[i]), float(self.plan.length_m[i]))
             for i, name in enumerate(self.schema.muscles)
-            if name in felt
+            if name in self._usable(felt)
         }
         if self._offset_m is None:
             # f_ref = f_plan + k (l - target) shall equal the tension that is there now
@@ -240,6 +243,8 @@ class Arm:
         """What `step` decided, one message a chain."""
         assert self.schema is not None and self.plan is not None
         planned = dict(zip(self.schema.muscles, self.plan.tension_n.tolist(), strict=True))
+        for name in self.excluded:
+            planned.pop(name, None)
         stiffness = self.settings.control.stiffness_n_m
         for chain, state in self._states.items():
             known = [name in planned for name in state.muscles]
@@ -256,6 +261,10 @@ class Arm:
                 stiffness_n_m=tuple(stiffness if k else 0.0 for k in known),
                 target_length_m=tuple(self._target_m[name] for name in state.muscles),
             )
+
+    def _usable(self, felt: dict[str, tuple[float, float]]) -> set[str]:
+        assert self.schema is not None
+        return (set(self.schema.muscles) & set(felt)) - self.excluded
 
     def _floor(self) -> Array:
         assert self.schema is not None

@@ -23,6 +23,8 @@ from services.logic.skeleton import Skeleton
 
 MEASURE_S = 0.2  # the arm is called settled for this long at each target
 LOST_S = 0.5  # a muscle gone for longer than this is gone
+TORN_S = 1.5  # and one that carries nothing for longer than this, though it should, is torn
+TORN_N = 2.0
 MAX_RESTARTS = 2  # of one growth, before the arm just holds
 STATE_EVERY = 2  # ticks
 MAX_STEP_S = 0.02  # of movement in one tick, however long it was
@@ -73,6 +75,7 @@ class Executive:
         self._was_silent = True
         self._under_way = False  # towards the present step's target
         self._lost_s: dict[str, float] = {}
+        self._torn_s: dict[str, float] = {}
 
     # ── in ────────────────────────────────────────────────────────────────────────────────────
 
@@ -178,21 +181,15 @@ class Executive:
         """Start growing when a muscle has come, shrinking when one has gone for good."""
         assert self.arm.schema is not None
         known = self.arm.schema.muscles
-        lost = [
-            name
-            for name in known
-            if (module := self.arm.module(name)) is None or module.state == "lost"
-        ]
-        self._lost_s = {name: self._lost_s.get(name, 0.0) + dt_s for name in lost}
         for name in list(self._memory.refused):
-            module = self.arm.module(name)
-            if module is None or module.state == "lost":
+            if self._is_gone(name):
                 self._memory.refused.remove(name)
-        gone = [name for name, since in self._lost_s.items() if since > LOST_S]
+        gone = self._missing(dt_s)
         if self._growth is not None:
             self._give_up_on(gone)
             return
-        if gone and len(known) > 1 and gone[0] not in self._memory.refused:
+        gone = [name for name in gone if name not in self.arm.excluded]
+        if gone and len(known) > 1:
             self._begin("shrink", gone[0], tuple(n for n in known if n != gone[0]))
             return
         for module in self.arm.modules():
@@ -204,6 +201,31 @@ class Executive:
                 kind = "refit" if returning else "grow"
                 self._begin(kind, module.name, (*known, module.name))
                 return
+
+    def _is_gone(self, muscle: str) -> bool:
+        module = self.arm.module(muscle)
+        return module is None or module.state == "lost"
+
+    def _missing(self, dt_s: float) -> list[str]:
+        """Muscles of the schema that have been without service for too long.
+
+        Gone from the chain, at fault, or wound in anew by the driver: then the wire was attached
+        anew and its length zero is another. Or torn: slack, though the plan asks for tension.
+        """
+        assert self.arm.schema is not None
+        felt = self.arm.felt()
+        missing = []
+        for name in self.arm.schema.muscles:
+            module = self.arm.module(name)
+            if module is not None and module.state == "up":
+                self._memory.known.setdefault(name, module.serial)
+            absent = module is None or module.state != "up"
+            torn = self._growth is None and name in felt and felt[name][1] < TORN_N
+            for times, counts in ((self._lost_s, absent), (self._torn_s, torn)):
+                times[name] = times.get(name, 0.0) + dt_s if counts else 0.0
+            if self._lost_s[name] > LOST_S or self._torn_s[name] > TORN_S:
+                missing.append(name)
+        return missing
 
     def _begin(
         self, kind: str, muscle: str, muscles: tuple[str, ...], method: str = "", n_new: int = 0
@@ -235,6 +257,10 @@ class Executive:
             return_rad=self._memory.goal_rad or tuple(self.arm.reference_rad.tolist()),
             targets=targets(count) + targets(growth.n_check),
         )
+        if kind == "shrink":
+            self.arm.excluded.add(muscle)
+            if not self._is_gone(muscle):  # it is broken: not taken back until it is plugged anew
+                self._memory.refused.append(muscle)
         self._memory.growth = record
         self._growth = Growth(record, self.arm, growth.residual_limit_mm)
         words = {"grow": "takes in", "refit": "takes back", "shrink": "goes on without"}[kind]
@@ -264,7 +290,8 @@ class Executive:
             memory.known.pop(record.muscle, None)  # so that it is learned from the start
             self._event("warning", "refit_refused", f"'{record.muscle}': {growth.over}")
         else:
-            memory.refused.append(record.muscle)
+            if record.muscle not in memory.refused:
+                memory.refused.append(record.muscle)
             text = f"'{record.muscle}' is not taken in and the arm holds: {growth.over}"
             if record.kind == "shrink":
                 text = f"the schema keeps '{record.muscle}' and the arm holds: {growth.over}"
@@ -374,6 +401,8 @@ class Executive:
             self._event("error", "growth_given_up", "growth failed twice: the arm holds")
         else:
             self._growth = Growth(record, self.arm, self.settings.growth.residual_limit_mm)
+            if record.kind == "shrink":
+                self.arm.excluded.add(record.muscle)
             text = f"growth of '{record.muscle}' goes on at stage {record.stage}"
             self._event("warning", "growth_resumed", text, stage=record.stage)
         self._save()
