@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import msgspec
 
@@ -55,6 +55,11 @@ def main(launch: Launch) -> None:
                 member.publish(message)
             member.beat(world.robot.now_ns)
     world.close()
+
+
+def _complain(saved: Future[None]) -> None:
+    if error := saved.exception():
+        log.error("the world's state was not saved: %s", error)
 
 
 class World:
@@ -201,7 +206,7 @@ class World:
         state = {"incarnation": self._incarnation, "robot": self.robot.snapshot()}
         data = msgspec.msgpack.encode(state)
         # the disk may take longer than a step: not in this thread
-        self._saver.submit(self._store.save, SNAPSHOT, data)
+        self._saver.submit(self._store.save, SNAPSHOT, data).add_done_callback(_complain)
 
     def _restored(self, launch: Launch) -> SimulatedRobot:
         robot = SimulatedRobot(launch.settings, launch.seed)
