@@ -152,8 +152,7 @@ class Growth:
             arm.go(np.array(target.angle_rad), np.array(target.floor_n), SPEED_DEG_S)
         path = arm.path
         assert path is not None
-        share = min(path.elapsed_s / path.duration_s, 1.0)
-        arm.guest_bias_n[record.muscle] = self._bias_from + share * (self._bias - self._bias_from)
+        arm.guest_bias_n[record.muscle] = self._bias_at(path.elapsed_s / path.duration_s)
         settled = path.arrived_s > SETTLE_S - SETTLED_TAIL_S
         if self._ticks % SAMPLE_EVERY == 0:
             self._recorder.sample(arm, settled)
@@ -164,6 +163,15 @@ class Growth:
             if len(record.motions) == self.steps:
                 arm.guest_bias_n[record.muscle] = GUEST_BIAS_N
                 arm.go(np.array(record.return_rad))
+
+    def _bias_at(self, share: float) -> float:
+        """The guest's tension [N] along a motion: over its whole range, down, and to its goal.
+
+        Were it to run along with the joints, its stretch could not be told from its path.
+        """
+        growth = self._arm.settings.growth
+        turns = (self._bias_from, growth.bias_max_n, growth.bias_min_n, self._bias)
+        return float(np.interp(share, (0.0, 1 / 3, 2 / 3, 1.0), turns))
 
     def _relearn(self, now_ns: int, dt_s: float) -> Iterator[Message]:
         """Ask for the relearning; meanwhile move for the check, on motions never trained on."""
