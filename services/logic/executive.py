@@ -121,8 +121,7 @@ class Executive:
         stage, text = "waiting", silent
         if not silent and self.arm.stopped:
             stage, text = "stopped", "stopped; clear with 'myograft reset'"
-            self.arm.drop()
-            self._under_way = False
+            self._abandon()
         elif not silent:
             if self._was_silent:
                 self.arm.anchor()
@@ -377,6 +376,18 @@ class Executive:
         self._under_way = False
         self._save()
         return Reply(ok=True, text="holding")
+
+    def _abandon(self) -> None:
+        """A stop ends all that was under way: nothing moves by itself when it is cleared."""
+        memory = self._memory
+        if self._growth is not None:
+            self._growth.over = "the robot was stopped"
+            self._end_growth(self._growth)
+        if memory.task or memory.goal_rad:
+            memory.task, memory.step, memory.goal_rad = "", 0, ()
+            self._save()
+        self._under_way = False
+        self.arm.drop()
 
     # ── memory ────────────────────────────────────────────────────────────────────────────────
 
