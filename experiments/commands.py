@@ -49,13 +49,17 @@ class Demo:
         """Run it; 0 when the robot grew."""
         from experiments.session import SessionError
         from runtime.bus import BusError
+        from runtime.cli.main import UsageError
         from runtime.hubs import HubError
+        from runtime.settings import SettingsError
 
         if not 0.05 <= args.speed <= 20.0:
             print("myograft demo: --speed is from 0.05 to 20", file=sys.stderr)
             return 2
         try:
             return _demo(args)
+        except SettingsError as error:
+            raise UsageError(str(error)) from error
         except (SessionError, HubError, BusError) as error:
             print(f"myograft demo: {error}", file=sys.stderr)
             return 1

@@ -1,14 +1,17 @@
-"""`python -m experiments learn`: a robot's first body schema, made in the rig from its robot file."""
+"""`python -m experiments learn`: a robot's first body schema, made in the rig."""
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from experiments.collect import Recording, collect_old
+from experiments.collect import Array, Recording, collect_old
 from experiments.progress import bars
 from runtime.settings import load_robot
 from services.body_schema.motions import SLACK_N
@@ -57,11 +60,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def learn_old(recording: Recording, seed: int, *, quick: bool = False, progress=None) -> Schema:  # type: ignore[no-untyped-def]
+def learn_old(
+    recording: Recording,
+    seed: int,
+    *,
+    quick: bool = False,
+    progress: Callable[[int, int, float, float, float], None] | None = None,
+) -> Schema:
     """Train h_old on what was recorded, but for every tenth sample."""
-    from dataclasses import replace
-
-    from services.body_schema.train import OLD, train_old
+    from services.body_schema.train import OLD, train_old  # torch: only who trains pays for it
 
     theta, f, length, held = _taut(recording)
     recipe = replace(OLD, steps=OLD.steps // 10) if quick else OLD
@@ -86,7 +93,8 @@ def held_out(schema: Schema, recording: Recording) -> tuple[list[float], float]:
     return rms_mm.tolist(), float(np.sqrt(np.mean(angle_rad**2)))
 
 
-def _taut(recording: Recording):  # type: ignore[no-untyped-def]
+def _taut(recording: Recording) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """theta (T, N), f (T, M), l (T, M) of the taut samples, and which of them are held out."""
     taut = (recording.tension_n >= SLACK_N).all(axis=1)
     theta, f = recording.angle_rad[taut], recording.tension_n[taut]
     held = np.arange(len(theta)) % HELD_OUT_EVERY == 0

@@ -1,4 +1,4 @@
-"""The whole robot in one process on a virtual clock: same logic, same bytes on the wire, same plant.
+"""The whole robot in one process on a virtual clock: same logic, same wire bytes, same plant.
 
 The live group and this rig differ only in the bus and the clock. It is deterministic, and as fast
 as the processor allows.
@@ -26,7 +26,7 @@ TRUTH_EVERY_MS = 5
 LINE_SLACK_NS = 1_000_000  # a reply that is out within the step is heard within the step
 
 
-class RigTimeout(RuntimeError):
+class RigTimeoutError(RuntimeError):
     """What was waited for did not happen in the robot time allowed."""
 
 
@@ -101,13 +101,13 @@ class Rig:
         """Let robot time pass until something holds.
 
         Raises:
-            RigTimeout: it did not come to hold within `limit_s` of robot time.
+            RigTimeoutError: it did not come to hold within `limit_s` of robot time.
         """
         for _ in range(round(limit_s * 1000)):
             if condition():
                 return
             self.step()
-        raise RigTimeout(f"{what or 'the condition'} did not hold within {limit_s} s")
+        raise RigTimeoutError(f"{what or 'the condition'} did not hold within {limit_s} s")
 
     def step(self) -> None:
         """One millisecond."""

@@ -147,10 +147,11 @@ def _sweep(session: Session, narrate: Narrate, title: str) -> Score:
 
     def watch(message: Message) -> None:
         scorer.see(message)
-        if isinstance(message, m.ExecutiveState) and message.task == "sweep":
-            if message.step != steps[0]:
-                steps[0] = message.step
-                narrate(title, message.step - 1, message.steps)
+        if not isinstance(message, m.ExecutiveState) or message.task != "sweep":
+            return
+        if message.step != steps[0]:
+            steps[0] = message.step
+            narrate(title, message.step - 1, message.steps)
 
     session.watchers.append(watch)
     session.ask(m.Task(name="sweep"))

@@ -1,11 +1,11 @@
-"""Someone who uses a robot: asks, waits, watches. The same script drives the rig and a live group."""
+"""Someone who uses a robot: asks, waits, watches. One script drives rig and live group alike."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Protocol
 
-from experiments.rig import Rig, RigTimeout
+from experiments.rig import Rig, RigTimeoutError
 from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings
 
@@ -60,7 +60,7 @@ class RigSession:
         self._heard.clear()
         try:
             self.rig.run_until(lambda: bool(self._heard), limit_s, what)
-        except RigTimeout as error:
+        except RigTimeoutError as error:
             raise SessionError(str(error)) from error
         finally:
             self._done = None

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
-import tomllib
 from pathlib import Path
-
-import msgspec
 
 from hardware_sim.faults import KINDS
 from runtime import messages as m
-from runtime.cli.client import add_robot_argument, request
-from runtime.cli.main import USAGE
+from runtime.cli.client import add_robot_argument, request, take_robot
+from runtime.cli.main import UsageError
+from runtime.settings import SettingsError, load_path
 
 
 class Plug:
@@ -23,12 +20,13 @@ class Plug:
 
     Examples:
       myograft plug biceps_3
+      myograft plug elbow biceps_3                on the robot `elbow`, when several run
       myograft plug brachialis --chain arm --path brachialis.toml
     """
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("muscle")
+        parser.add_argument("words", nargs="+", metavar="[ROBOT] MUSCLE")
         parser.add_argument("--chain", default="", help="default: the spare's, or the only one")
         parser.add_argument("--path", type=Path, metavar="FILE", help="where its wire runs")
         parser.add_argument("--id", type=int, default=1, help="1: as it comes from the factory")
@@ -36,14 +34,12 @@ class Plug:
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask the world."""
-        path = None
-        if args.path is not None:
-            try:
-                path = msgspec.convert(tomllib.loads(args.path.read_text()), m.MusclePath)
-            except (OSError, ValueError, msgspec.ValidationError) as error:
-                print(f"myograft: {args.path}: {error}", file=sys.stderr)
-                return USAGE
-        plug = m.Plug(muscle=args.muscle, chain=args.chain, path=path, module_id=args.id)
+        muscle = take_robot(args, args.words)
+        try:
+            path = None if args.path is None else load_path(str(args.path))
+        except SettingsError as error:
+            raise UsageError(str(error)) from error
+        plug = m.Plug(muscle=muscle, chain=args.chain, path=path, module_id=args.id)
         return request(args.robot, plug)
 
 
@@ -56,12 +52,12 @@ class Unplug:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("muscle")
+        parser.add_argument("words", nargs="+", metavar="[ROBOT] MUSCLE")
         add_robot_argument(parser)
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask the world."""
-        return request(args.robot, m.Unplug(muscle=args.muscle))
+        return request(args.robot, m.Unplug(muscle=take_robot(args, args.words)))
 
 
 _USUAL = {"corrupt": 0.001, "drop": 0.05, "delay": 0.002, "cable": 0.0, "overheat": 60.0}

@@ -7,7 +7,7 @@ import math
 import sys
 
 from runtime import messages as m
-from runtime.cli.client import add_robot_argument, request
+from runtime.cli.client import add_robot_argument, request, take_robot
 from runtime.cli.main import USAGE
 
 
@@ -23,13 +23,16 @@ class Reach:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("angle", nargs="+", metavar="JOINT=DEG")
+        parser.add_argument("angle", nargs="+", metavar="[ROBOT] JOINT=DEG")
         add_robot_argument(parser)
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask the executive."""
         angles = {}
-        for word in args.angle:
+        words = list(args.angle)
+        if "=" not in words[0] and len(words) > 1:
+            args.robot = words.pop(0)
+        for word in words:
             joint, equals, degrees = word.partition("=")
             try:
                 angles[joint] = math.radians(float(degrees))
@@ -53,12 +56,12 @@ class Task:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("name", help="a task of the robot file, or park, hold, cancel")
+        parser.add_argument("words", nargs="+", metavar="[ROBOT] TASK")
         add_robot_argument(parser)
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask the executive."""
-        return request(args.robot, m.Task(name=args.name))
+        return request(args.robot, m.Task(name=take_robot(args, args.words)))
 
 
 class Schema:
@@ -104,7 +107,7 @@ class Estop:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
         parser.add_argument("--reason", default="asked for at the command line")
-        add_robot_argument(parser)
+        add_robot_argument(parser, first=True)
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask every driver."""
@@ -120,7 +123,7 @@ class Reset:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        add_robot_argument(parser)
+        add_robot_argument(parser, first=True)
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask every driver and the executive."""

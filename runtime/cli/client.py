@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 from runtime.bus import Bus, BusError, Question
-from runtime.cli.main import DONE, NOT_RUNNING, REFUSED
+from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, UsageError
 from runtime.hubs import Hub, HubError, find_hub
 from runtime.messages import Message, Reply
 
@@ -42,11 +42,25 @@ class Client:
         return gathered
 
 
-def add_robot_argument(parser: argparse.ArgumentParser) -> None:
-    """`--robot NAME`, as every command that talks to a robot has it."""
-    parser.add_argument(
-        "--robot", default="", metavar="NAME", help="which robot; not needed when one runs"
-    )
+def add_robot_argument(parser: argparse.ArgumentParser, *, first: bool = False) -> None:
+    """`--robot NAME`, as every command that talks to a robot has it; `first`: also as a word."""
+    text = "which robot; not needed when one runs"
+    parser.add_argument("--robot", default="", metavar="NAME", help=text)
+    if first:  # suppressed: when it is left out it must not undo --robot
+        parser.add_argument("robot", nargs="?", default=argparse.SUPPRESS, help=text)
+
+
+def take_robot(args: argparse.Namespace, words: list[str]) -> str:
+    """Of the words `[ROBOT] WORD`, the last; a word before it is the robot's name.
+
+    Raises:
+        UsageError: there are more.
+    """
+    if len(words) > 2:
+        raise UsageError(f"one word, or a robot's name and one word: not {' '.join(words)!r}")
+    if len(words) == 2:
+        args.robot = words[0]
+    return words[-1]
 
 
 @contextlib.contextmanager

@@ -34,6 +34,10 @@ exit codes: 0 done, 1 refused or failed, 2 wrong usage, 3 no such robot is runni
 """
 
 
+class UsageError(ValueError):
+    """Words that make no sense together; the text says which and what to write."""
+
+
 class Command(Protocol):
     """What an entry point of the table names."""
 
@@ -92,6 +96,9 @@ def _run(name: str, command: Command, words: list[str]) -> int:
     args = parser.parse_args(words)
     try:
         return command.run(args)
+    except UsageError as error:
+        print(f"myograft: {error}", file=sys.stderr)
+        return USAGE
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:  # the reader of a pipe has had enough

@@ -25,7 +25,7 @@ class Status:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        add_robot_argument(parser)
+        add_robot_argument(parser, first=True)
         parser.add_argument("--json", action="store_true", help="for programs")
         parser.add_argument("--watch", action="store_true", help="again every second")
 

@@ -10,6 +10,7 @@ import threading
 import time
 from pathlib import Path
 
+from runtime.cli.client import add_robot_argument
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, USAGE
 from runtime.hubs import Hub, HubError, find_hub, living_hubs
 from runtime.manifest import can_view
@@ -134,13 +135,13 @@ class Down:
 
     Examples:
       myograft down
-      myograft down --robot left
+      myograft down left
       myograft down --all
     """
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("--robot", default="", metavar="NAME", help="which robot")
+        add_robot_argument(parser, first=True)
         parser.add_argument("--all", action="store_true", help="every robot on this host")
         parser.add_argument("--timeout", type=float, default=30.0, help="seconds to wait")
 
