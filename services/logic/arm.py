@@ -128,10 +128,14 @@ class Arm:
         if self.path is not None:
             theta, _ = self.path.now()
             self.path = Path.between(theta, theta, self._floor(), self._floor(), 1.0)
-        self.anchor()
+        self._fade()
 
     def anchor(self) -> None:
         """Begin from what the arm does now: the next commands change nothing, then fade to plan."""
+        self._target_m.clear()  # of before the silence: the arm need not be there any more
+        self._fade()
+
+    def _fade(self) -> None:
         self._offset_m = None
         self._fade_s = 0.0
 
@@ -139,7 +143,6 @@ class Arm:
         """Forget where the arm was going: after a stop it stays where it is."""
         self.path = None
         self.plan = None
-        self._target_m.clear()
         self.anchor()
 
     def go(
