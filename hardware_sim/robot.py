@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 STEP_NS = 1_000_000
 NOISE_BLOCK = 1000  # rows of noise drawn at once: a draw of one row costs as much as forty
 MUSCLE_FAULTS = ("rupture", "overheat")  # what only a muscle can have
+NO_NOISE: Array = np.zeros((0, 0))  # the offsets changed: draw anew
 LOAD_CELL_OFFSET_N = 1.5  # spread of load cells that nobody tared
 
 
@@ -54,7 +55,7 @@ class SimulatedRobot:
         self.faults = Faults(seed)
         self.chains = {row.name: Chain(row.name, row.baud, self.faults) for row in settings.chain}
         self._rng = np.random.default_rng([seed, 1])
-        self._noise: Array = np.zeros((0, 0))
+        self._noise = NO_NOISE
         self._noise_row = 0
         self._modules: dict[str, MuscleModule] = {}
         self._chain_of: dict[str, str] = {}
@@ -72,25 +73,19 @@ class SimulatedRobot:
 
     def step(self) -> None:
         """One millisecond: sense, run the modules' loops, move."""
-        plant, simulation = self.plant, self.settings.simulation
+        plant = self.plant
         tension = plant.sense()
-        if self._noise_row >= len(self._noise) or self._noise.shape[1] != 2 * len(tension):
-            self._noise = self._rng.normal(size=(NOISE_BLOCK, 2 * len(tension)))
-            self._noise_row = 0
-        noise = self._noise[self._noise_row]
-        self._noise_row += 1
         count = len(tension)
-        load = tension + self._cell_offset_n + simulation.tension_noise_n * noise[:count]
+        off = self._sensor_errors(count)
+        load = tension + off[:count]
         for name, reading in self._stuck.items():
             if name in self._modules:
                 load[plant.wires.index(name)] = reading
         speed = self.bank.step(
             DT_S,
             load,
-            plant.wire_length_m
-            - self._encoder_offset_m
-            + simulation.length_noise_m * noise[count:],
-            plant.drive.temperature_degc + self._extra_heat(),
+            plant.wire_length_m + off[count:],
+            self._motor_temperature_degc(),
             self.now_ns,
         )
         plant.act(speed, tension)
@@ -146,6 +141,7 @@ class SimulatedRobot:
             module.restore(shelved.module)
             module.reboot()
         self._encoder_offset_m[-1] = self.plant.wire_length_m[-1] + self._rng.normal(0.0, 0.01)
+        self._noise = NO_NOISE
         return m.Event(
             stamp_ns=self.now_ns,
             process="world",
@@ -175,6 +171,7 @@ class SimulatedRobot:
         self.faults.clear("rupture", name)  # should it come back, it has a wire again
         self._cell_offset_n = np.delete(self._cell_offset_n, index)
         self._encoder_offset_m = np.delete(self._encoder_offset_m, index)
+        self._noise = NO_NOISE
         self._peaks = np.delete(self._peaks, index, axis=1)
         self._tension_n = np.delete(self._tension_n, index)
         return m.Event(
@@ -278,6 +275,7 @@ class SimulatedRobot:
         self._paths = paths
         self._cell_offset_n = np.array(snapshot["cell_offset_n"])
         self._encoder_offset_m = np.array(snapshot["encoder_offset_m"])
+        self._noise = NO_NOISE
         self._tension_n = np.array(snapshot["tension_n"])
         self._peaks = np.array(snapshot["peaks"])
         self.faults.clear()
@@ -318,10 +316,24 @@ class SimulatedRobot:
                 )
             )
 
-    def _extra_heat(self) -> Array | float:
+    def _sensor_errors(self, count: int) -> Array:
+        """What load cells [N] and then encoders [m] are off by in this step: offset and noise."""
+        if self._noise_row >= len(self._noise) or self._noise.shape[1] != 2 * count:
+            simulation = self.settings.simulation
+            size = np.repeat((simulation.tension_noise_n, simulation.length_noise_m), count)
+            offset = np.concatenate((self._cell_offset_n, -self._encoder_offset_m))
+            self._noise = self._rng.normal(size=(NOISE_BLOCK, 2 * count)) * size + offset
+            self._noise_row = 0
+        row: Array = self._noise[self._noise_row]
+        self._noise_row += 1
+        return row
+
+    def _motor_temperature_degc(self) -> Array:
+        temperature = self.plant.drive.temperature_degc
         if not self.faults.active:
-            return 0.0
-        return np.array([self.faults.amount("overheat", name) or 0.0 for name in self.plant.wires])
+            return temperature
+        extra = [self.faults.amount("overheat", name) or 0.0 for name in self.plant.wires]
+        return np.asarray(temperature + extra)
 
     def _reading(self, name: str) -> float:
         """What a muscle's load cell [N] or a joint's angle sensor [rad] reads, raw."""
