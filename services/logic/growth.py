@@ -86,6 +86,7 @@ class Growth:
         self._waited_s = 0.0
         self._since_ask_s = REPEAT_S
         self._heard = False
+        self._returning = False
         self._candidate: SchemaCandidate | None = None
         self._bias = GUEST_BIAS_N
         self._bias_from = GUEST_BIAS_N
@@ -104,7 +105,6 @@ class Growth:
         elif isinstance(message, SchemaVersion):
             if message.job == record.job and record.stage == "adopt":
                 self._enter("resume")
-                self._arm.go(np.array(record.return_rad))
         elif isinstance(message, TrainingProgress) and message.job == record.job:
             self._heard = True
             if message.stage == "failed":
@@ -112,6 +112,8 @@ class Growth:
 
     def tick(self, now_ns: int, dt_s: float) -> Iterator[Message]:
         """Go on; called while the arm can move, after `arm.step`."""
+        if self.over:
+            return
         self._ticks += 1
         self._waited_s += dt_s
         if self.record.stage == "join":
@@ -122,6 +124,9 @@ class Growth:
             yield from self._relearn(now_ns, dt_s)
         elif self.record.stage == "adopt":
             yield from self._ask_adoption(now_ns, dt_s)
+        elif not self._returning:
+            self._returning = True
+            self._arm.go(np.array(self.record.return_rad))
         elif self._arm.resting_s() >= 0.0:
             self.over = "done"
 
