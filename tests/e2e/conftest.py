@@ -203,10 +203,11 @@ def elbow(folder: Path, name: str, steps: int = 16) -> RobotSettings:
     targets = [list(row) for row in itertools.islice(once, steps)]
     head, _, _ = Path(shipped.file).read_text().partition("[[task]]")
     text = head.replace('"../', f'"{Path(shipped.file).parent}/../')
+    text = text.replace('name = "elbow"', f'name = "{name}"', 1)
     text += f'[[task]]\nname = "sweep"\ntargets_deg = {targets}\n'
     file = folder / f"{name}.toml"
     file.write_text(text)
-    return load_robot(str(file), name)
+    return load_robot(str(file))
 
 
 def bearable_s(bound_s: float, took_s: float, module: str, nice: int = 0) -> float:

@@ -1,0 +1,165 @@
+"""`myograft up` as its user has it: two robots at once on one network, ended by Ctrl-C."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+
+from runtime import messages as m
+from runtime.bus import Bus
+from runtime.hubs import find_hub, living_hubs
+from runtime.messages import Message, Reply
+from tests.e2e.conftest import PATIENCE_S, Watch, elbow
+
+pytestmark = pytest.mark.e2e
+
+NAMES = ("castor", "pollux")
+STILL_RAD = np.radians(3.0)
+
+
+class Up:
+    """`myograft up` in a process of its own, and what it prints."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.lines: list[str] = []
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "runtime.cli.main", "up", *arguments],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self._news = threading.Condition()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            with self._news:
+                self.lines.append(line)
+                self._news.notify_all()
+
+    def wait_line(self, words: str, count: int = 1) -> None:
+        with self._news:
+            said = self._news.wait_for(
+                lambda: sum(words in line for line in self.lines) >= count, 2 * PATIENCE_S
+            )
+        assert said, f"'{words}' was never said, but:\n{''.join(self.lines)}"
+
+    def end(self) -> int:
+        """Ctrl-C; gives the exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        code = self.process.wait(40)
+        self._reader.join(5)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+        return code
+
+
+class Fleet:
+    def __init__(self, up: Up, buses: dict[str, Bus], watches: dict[str, Watch]) -> None:
+        self.up = up
+        self.watches = watches
+        self._buses = buses
+
+    def ask(self, robot: str, request: Message) -> list[Reply]:
+        return self._buses[robot].request(request)
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
+    folder = tmp_path_factory.mktemp("fleet")
+    files = [elbow(folder, name).file for name in NAMES]
+    up = Up(*files)
+    try:
+        up.wait_line("viz ready", count=2)
+        with ExitStack() as stack:
+            buses, watches = {}, {}
+            for name in NAMES:
+                endpoint = find_hub(name).endpoint
+                buses[name] = stack.enter_context(Bus(name, "test", endpoint=endpoint))
+                watches[name] = stack.enter_context(Watch(buses[name]))
+            yield Fleet(up, buses, watches)
+    finally:
+        up.end()
+
+
+def angle_rad(watch: Watch) -> float:
+    return watch.last(m.WorldTruth).angle_rad[0]
+
+
+def hold(watch: Watch) -> None:
+    watch.wait_for(m.ExecutiveState, lambda x: x.stage == "hold" and x.settled, since=watch.mark())
+
+
+def test_a_command_to_one_moves_no_other(fleet: Fleet) -> None:
+    castor, pollux = (fleet.watches[name] for name in NAMES)
+    hold(castor)
+    hold(pollux)
+    still_rad = angle_rad(pollux)
+    before = castor.mark(), pollux.mark()
+    goal_rad = float(np.radians(50.0))
+    replies = fleet.ask("castor", m.Reach(angle_rad={"elbow": goal_rad}))
+    assert len(replies) == 1, "one robot answers"
+    castor.wait_for(
+        m.ExecutiveState,
+        lambda x: x.settled and abs(x.reference_rad[0] - goal_rad) < 1e-3,
+        since=before[0],
+    )
+    assert abs(angle_rad(castor) - goal_rad) < STILL_RAD
+    angles = [x.angle_rad[0] for x in pollux.of(m.WorldTruth, before[1])]
+    assert angles
+    assert np.ptp(angles) < STILL_RAD
+    assert angles[-1] == pytest.approx(still_rad, abs=STILL_RAD)
+    assert "move" not in {x.stage for x in pollux.of(m.ExecutiveState, before[1])}
+
+
+def test_neither_hears_the_other(fleet: Fleet) -> None:
+    """All that comes on one robot's keys is from that robot's processes, and from one world."""
+    pids = {}
+    for name, watch in fleet.watches.items():
+        table = watch.last(m.GroupState).processes
+        pids[name] = {row.process: row.pid for row in table}
+        told = {(x.process, x.pid) for x in watch.of(m.Health) if x.process != "supervisor"}
+        assert told == set(pids[name].items())
+        stamps = [x.stamp_ns for x in watch.of(m.WorldTruth)]
+        assert stamps == sorted(set(stamps)), "two worlds tell the truth"
+    assert not set(pids["castor"].values()) & set(pids["pollux"].values())
+    with (
+        Bus("castor", "stranger", endpoint=find_hub("pollux").endpoint) as bus,
+        Watch(bus) as watch,
+    ):
+        watch.wait_for(m.WorldTruth, since=0, what="castor over pollux's hub: they share a network")
+
+
+def test_both_sweep_at_once(fleet: Fleet) -> None:
+    since = {name: watch.mark() for name, watch in fleet.watches.items()}
+    for name in NAMES:
+        (reply,) = fleet.ask(name, m.Task(name="sweep"))
+        assert reply.ok, reply.text
+    for name, watch in fleet.watches.items():
+        watch.wait_for(
+            m.ExecutiveState,
+            lambda x: x.task == "sweep" and x.step >= 2,
+            since=since[name],
+            what=f"the second step of {name}'s sweep",
+        )
+
+
+def test_ctrl_c_parks_both_and_exits_0(fleet: Fleet) -> None:
+    since = {name: watch.mark() for name, watch in fleet.watches.items()}
+    assert fleet.up.end() == 0
+    for name, watch in fleet.watches.items():
+        stages = {x.stage for x in watch.of(m.ExecutiveState, since[name])}
+        assert "park" in stages, f"{name} was not parked, but went through {stages}"
+        rest_rad = np.radians(0.0)
+        assert angle_rad(watch) == pytest.approx(rest_rad, abs=STILL_RAD)
+        assert f"{name}: stopped\n" in fleet.up.lines
+    assert living_hubs() == []
