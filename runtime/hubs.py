@@ -65,6 +65,22 @@ def free_endpoint() -> str:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
+def set_state_aside(robot: str) -> None:
+    """Let a robot begin as built; what it was stays beside, as `state-1`, `state-2`, ...
+
+    Raises:
+        HubError: the robot is running.
+    """
+    if any(hub.robot == robot for hub in living_hubs()):
+        raise HubError(f"{robot!r} is running: stop it first, with: myograft down {robot}")
+    state = robot_home(robot) / "state"
+    if state.exists():
+        number = 1
+        while (aside := state.with_name(f"state-{number}")).exists():
+            number += 1
+        state.rename(aside)
+
+
 def living_hubs() -> list[Hub]:
     """All groups that run on this host, by name."""
     found = []

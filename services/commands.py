@@ -7,8 +7,18 @@ import math
 import sys
 
 from runtime import messages as m
-from runtime.cli.client import add_robot_argument, request, take_robot
-from runtime.cli.main import USAGE
+from runtime.cli.client import (
+    Client,
+    add_robot_argument,
+    request,
+    show,
+    take_robot,
+    with_robot,
+)
+from runtime.cli.main import DONE, REFUSED, USAGE
+from runtime.messages import Message
+
+STOP_PATIENCE_S = 10.0
 
 
 class Reach:
@@ -96,7 +106,7 @@ class Schema:
 class Estop:
     """Stop the arm now: every wire pays out at bounded speed, and stays stopped.
 
-    Each driver answers for its own chain, and says so only after the measured tensions have
+    Each driver answers for its own chain. "stopped" is said only after the measured tensions have
     fallen. `myograft reset` clears the stop.
 
     Examples:
@@ -110,8 +120,31 @@ class Estop:
         add_robot_argument(parser, first=True)
 
     def run(self, args: argparse.Namespace) -> int:
-        """Ask every driver."""
-        return request(args.robot, m.Estop(reason=args.reason))
+        """Ask every driver, then wait until each chain's own readings say that it stands."""
+
+        def stop(client: Client) -> int:
+            client.bus.subscribe(m.ChainState)
+            question = m.Estop(reason=args.reason)
+            replies = client.ask(question)
+            code = show(replies, question)
+            moving = {reply.data["chain"] for reply in replies if reply.ok}
+
+            def standing(message: Message) -> bool:
+                if isinstance(message, m.ChainState) and message.mode == "stopped":
+                    moving.discard(message.chain)
+                return not moving
+
+            if moving:
+                client.gather(standing, STOP_PATIENCE_S)
+            if moving:
+                chains = ", ".join(sorted(moving))
+                print(f"chain {chains} is still paying out; see: myograft status", file=sys.stderr)
+                return REFUSED
+            if code == DONE:
+                print("stopped: all wires are slack, the arm is latched")
+            return code
+
+        return with_robot(args.robot, stop)
 
 
 class Reset:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from runtime.cli.client import add_robot_argument
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, USAGE
-from runtime.hubs import Hub, HubError, find_hub, living_hubs
+from runtime.hubs import Hub, HubError, find_hub, living_hubs, set_state_aside
 from runtime.manifest import can_view
 from runtime.settings import SettingsError, load_robot
 from runtime.supervisor import Group
@@ -23,7 +23,8 @@ class Up:
 
     Starts the robot's processes, restarts those that die, and parks the arm on Ctrl-C before
     stopping. Ctrl-C a second time stops the arm at once. ROBOT is the name of a file in
-    deploy/robots or a path; several make a fleet.
+    deploy/robots or a path; several make a fleet. A robot goes on as it was left: with the
+    muscles that were plugged in, and with what it learned; --fresh begins as built.
 
     Examples:
       myograft up elbow
@@ -48,6 +49,11 @@ class Up:
             help="a router to other hosts, as tcp/10.0.0.7:7447",
         )
         parser.add_argument("--run-dir", type=Path, help="where logs and recordings go")
+        parser.add_argument(
+            "--fresh",
+            action="store_true",
+            help="as built: what it learned and what was plugged in is set aside",
+        )
 
     def run(self, args: argparse.Namespace) -> int:
         """Start, wait, stop."""
@@ -65,6 +71,8 @@ class Up:
                 run_dir = args.run_dir
                 if run_dir is not None and len(args.robot) > 1:
                     run_dir = run_dir / settings.name
+                if args.fresh:
+                    set_state_aside(settings.name)
                 groups.append(
                     Group(
                         settings,
@@ -76,6 +84,9 @@ class Up:
                         say=lambda line: print(line, flush=True),
                     )
                 )
+        except HubError as error:
+            print(f"myograft: {error}", file=sys.stderr)
+            return REFUSED
         except (SettingsError, ValueError) as error:
             print(f"myograft: {error}", file=sys.stderr)
             return USAGE
