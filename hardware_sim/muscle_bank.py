@@ -36,7 +36,8 @@ COOLED_DEGC = 5.0  # below the limit: full tension is allowed again
 DERATE_1_S = 0.1  # an overheated module gives up a tenth of its reference's limit a second
 DERATE_MIN = 0.3
 CHECK_NS = 5_000_000  # watchdog and temperatures are slow: looked at every 5 ms
-TICK_S = 0.001  # two targets within one tick of the firmware are as good as one tick apart
+# A target's speed is measured over at least this long: packets come a little early or late.
+TARGET_WINDOW_NS = 10_000_000
 
 
 class Mode(IntEnum):
@@ -60,7 +61,7 @@ class MuscleBank(MuscleRows):
         length_zero_m, tension_tare_n: taken off the raw readings.
         mode: a `Mode` each.
         hardware_error: bits of `HardwareError`, latched until reboot.
-        peak_target_speed_m_s: fastest that the target moved between two writes, both obeyed.
+        peak_target_speed_m_s: fastest that the target moved over some 10 ms, obeyed all the time.
     """
 
     def __init__(self) -> None:
@@ -136,13 +137,17 @@ class MuscleBank(MuscleRows):
     def set_target(self, index: int, length_m: float) -> None:
         """A new target length; how fast it moved is measured where it was obeyed."""
         obeyed = self.mode.item(index) == Mode.FOLLOWING and self.stiffness_n_m.item(index) > 0.0
-        since_ns = self.target_written_ns.item(index)
-        if obeyed and since_ns >= 0:
-            elapsed_s = max((self.now_ns - since_ns) * 1e-9, TICK_S)
-            speed = abs(length_m - self.target_length_m.item(index)) / elapsed_s
+        since_ns = self.target_since_ns.item(index)
+        if not obeyed:
+            self.target_since_ns[index] = -1
+        elif since_ns < 0:
+            self.target_since_ns[index], self.target_from_m[index] = self.now_ns, length_m
+        elif self.now_ns - since_ns >= TARGET_WINDOW_NS:
+            elapsed_s = (self.now_ns - since_ns) * 1e-9
+            speed = abs(length_m - self.target_from_m.item(index)) / elapsed_s
             if speed > self.peak_target_speed_m_s.item(index):
                 self.peak_target_speed_m_s[index] = speed
-        self.target_written_ns[index] = self.now_ns if obeyed else -1
+            self.target_since_ns[index], self.target_from_m[index] = self.now_ns, length_m
         self.target_length_m[index] = length_m
 
     def set_limit(self, index: int, row: str, value: float) -> None:
@@ -177,7 +182,7 @@ class MuscleBank(MuscleRows):
         """Forget goals, errors and latches; torque off."""
         for name in ("bias_n", "stiffness_n_m", "target_length_m", "torque", "stop", "tripped",
                      "watchdog_s", "hardware_error", "derating", "overload_s",
-                     "target_written_ns"):  # fmt: skip
+                     "target_since_ns"):  # fmt: skip
             getattr(self, name)[index] = ROWS[name]
         self._limits_changed()
         self._drive(index)
@@ -225,7 +230,7 @@ class MuscleBank(MuscleRows):
         tension = min(max(self.tension_n[index], 0.0), self._ceiling_n[index])
         stretch = (tension - self.bias_n[index]) / stiffness if stiffness > 0.0 else 0.0
         self.target_length_m[index] = self.length_m[index] - stretch
-        self.target_written_ns[index] = -1
+        self.target_since_ns[index] = -1
 
     def _set_drive(self, index: int) -> None:
         mode = self.mode[index]

@@ -32,7 +32,8 @@ ROWS = {  # row of the table -> its value in a new module
     "derating": 1.0,
     "overload_s": 0.0,
     "peak_target_speed_m_s": 0.0,
-    "target_written_ns": -1.0,
+    "target_since_ns": -1.0,
+    "target_from_m": 0.0,
 }
 
 
@@ -68,7 +69,8 @@ class MuscleRows:
     derating: Array
     overload_s: Array
     peak_target_speed_m_s: Array
-    target_written_ns: Array
+    target_since_ns: Array
+    target_from_m: Array
 
     def __init__(self) -> None:
         self._holders: list[_Indexed] = []

@@ -74,6 +74,11 @@ class Module(_Table, frozen=True, kw_only=True):
     temperature_limit_degc: float = 80.0
     spool_radius_m: float = 0.008
 
+    @property
+    def target_speed_m_s(self) -> float:
+        """How fast a target length may move: the motor must keep up, and correct errors too."""
+        return 0.8 * self.winding_speed_m_s
+
 
 class Control(_Table, frozen=True, kw_only=True):
     """`[control]`: how the executive moves the arm."""

@@ -37,7 +37,6 @@ FADE_S = 0.8
 GUEST_BIAS_N = 5.0
 GUEST_RATE_N_S = 60.0  # how fast a guest's tension changes
 GUEST_TORQUE_S = 0.12  # time constant of the estimate of what guests do to the joints
-SLEW_SHARE = 0.8  # of the winding speed that targets may use
 
 
 class Arm:
@@ -224,7 +223,7 @@ class Arm:
             }
         self._fade_s += dt_s
         share = 1.0 - min_jerk(self._fade_s / FADE_S)
-        reach = SLEW_SHARE * self.settings.module.winding_speed_m_s * dt_s
+        reach = self.settings.module.target_speed_m_s * dt_s
         targets: dict[str, float] = {}
         for name in felt:
             if name not in planned:

@@ -79,7 +79,7 @@ class Reference:
             change = -DERATE_1_S * dt_s if self.hot else DERATE_1_S * dt_s
             self.derating = min(max(self.derating + change, DERATE_MIN), 1.0)
             self.bias_n = min(self.bias_n, self.ceiling_n)
-        reach = self.limits.winding_speed_m_s * dt_s
+        reach = self.limits.target_speed_m_s * dt_s
         self.over = tension_n > self.limits.tension_limit_n
         if self.over:
             self.target_m += reach

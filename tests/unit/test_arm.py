@@ -12,14 +12,13 @@ from services.logic.arm import (
     GUEST_BIAS_N,
     GUEST_RATE_N_S,
     LEASE_NS,
-    SLEW_SHARE,
     STALE_NS,
     Arm,
     MotionRecorder,
 )
 from tests.unit.arm_bench import DT_S, MS, SETTINGS, SKELETON, Bench, K, shipped
 
-REACH_M = SLEW_SHARE * SETTINGS.module.winding_speed_m_s * DT_S
+REACH_M = SETTINGS.module.target_speed_m_s * DT_S
 
 
 def targets(command: ChainCommand) -> dict[str, float]:
