@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from time import perf_counter
 from typing import Any
 
-from hardware_sim.robot import SimulatedRobot
+from hardware_sim.robot import PlugError, SimulatedRobot
 from runtime import messages as m
 from runtime.logic import Logic, MemoryStore
 from runtime.messages import Message, Reply
@@ -79,18 +79,26 @@ class Rig:
 
     def ask(self, request: Message) -> Reply:
         """Put a request to the hands or to the logics that answer it."""
-        if isinstance(request, m.Plug):
-            self._publish([self.robot.plug(request)])
-            return Reply(ok=True)
-        if isinstance(request, m.Unplug):
-            self._publish([self.robot.unplug(request)])
-            return Reply(ok=True)
+        if isinstance(request, m.Plug | m.Unplug | m.Fault):
+            try:
+                event = self._by_hand(request)
+            except PlugError as error:
+                return Reply(ok=False, text=str(error))
+            self._publish([event])
+            return Reply(ok=True, text=event.text, data=event.data)
         reply = Reply(ok=False, text=f"nobody answers {type(request).__name__}")
         for logic in self._logics:
             if type(request) in logic.requests:
                 reply = logic.answer(request, self.now_ns)
                 self._woken.add(id(logic))
         return reply
+
+    def _by_hand(self, request: m.Plug | m.Unplug | m.Fault) -> m.Event:
+        if isinstance(request, m.Plug):
+            return self.robot.plug(request)
+        if isinstance(request, m.Unplug):
+            return self.robot.unplug(request)
+        return self.robot.fault(request)
 
     def run(self, seconds: float) -> None:
         """Let robot time pass."""

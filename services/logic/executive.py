@@ -337,6 +337,8 @@ class Executive:
     def _start_reach(self, request: m.Reach) -> Reply:
         if self._growth is not None:
             return Reply(ok=False, text="the body is growing; wait, or 'myograft task cancel'")
+        if not self._memory.goal_rad and self._was_silent:
+            return Reply(ok=False, text="the arm cannot move now: it is not heard yet")
         goal = list(self._memory.goal_rad or self.arm.reference_rad.tolist())
         for name, angle in request.angle_rad.items():
             if name not in self.settings.joints:
@@ -396,9 +398,13 @@ class Executive:
         if data is None:
             return Memory()
         try:
-            return msgspec.msgpack.decode(data, type=Memory)
+            memory = msgspec.msgpack.decode(data, type=Memory)
         except msgspec.DecodeError:
             return Memory()  # a torn file is no reason not to hold the arm
+        task_fits = not memory.task or memory.step < len(self._tasks.get(memory.task, ()))
+        if task_fits and len(memory.goal_rad) in (0, len(self.settings.joints)):
+            return memory
+        return Memory(known=memory.known)  # the robot file was changed
 
     def resume(self) -> None:
         """Go on with what a former executive was about; called once by the process."""
