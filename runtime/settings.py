@@ -97,7 +97,7 @@ class Growth(_Table, frozen=True, kw_only=True):
     n_check: int = 2
     method: str = "iii"
     bias_min_n: float = 10.0
-    bias_max_n: float = 35.0
+    bias_max_n: float = 25.0
     residual_limit_mm: float = 4.0  # on held-out motion; above it a candidate is refused
 
 

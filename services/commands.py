@@ -100,7 +100,18 @@ class Schema:
         if args.action == "rollback" and args.version < 1:
             print("myograft: rollback to which version? See: myograft schema list", file=sys.stderr)
             return USAGE
-        return request(args.robot, m.SchemaRequest(action=args.action, version=args.version))
+        question = m.SchemaRequest(action=args.action, version=args.version)
+
+        def ask(client: Client) -> int:
+            replies = client.ask(question)
+            code = show(replies, question)
+            for reply in replies:
+                versions = {name: text for name, text in reply.data.items() if name.isdigit()}
+                for number in sorted(versions, key=int):
+                    print(f"{number:>4}  {versions[number]}")
+            return code
+
+        return with_robot(args.robot, ask)
 
 
 class Estop:
