@@ -169,7 +169,7 @@ class MuscleDriver:
         tripped = [muscle for muscle in muscles if self._needs_rescue(muscle)]
         for muscle in tripped:
             muscle.rescued_ns = self._now_ns
-            muscle.reference.hold(muscle.reading, muscle.tension_n)
+            muscle.hold()
         values = {x.id: GOAL_BLOCK.encode(x.reference.values()) for x in muscles}
         goals = wire.sync_write(GOAL_BLOCK.address, GOAL_BLOCK.length, values)
         if tripped:

@@ -53,6 +53,13 @@ class Module:
         self.temperature_degc = present["motor_temperature"]
         self.status = int(present["status"])
 
+    def hold(self) -> None:
+        """Begin anew from what the muscle does; slack that is being wound in goes on being so."""
+        if self.zeroed:
+            self.reference.hold(self.reading, self.tension_n)
+        else:
+            self.reference.slacken(self.reading)
+
     def info(self, stopped: bool) -> ModuleInfo:
         """What others are told of it."""
         return ModuleInfo(

@@ -83,7 +83,7 @@ class Sensing:
                 (found.alerts if alert else found.recovered).append(module)
                 module.alert = alert
             if rebase and module.kind is Kind.MUSCLE:
-                module.reference.hold(module.reading, module.tension_n)
+                module.hold()
         others_fine = any(not module.missed for module in asked)
         for module in asked:
             if module.missed >= LOST_CYCLES:

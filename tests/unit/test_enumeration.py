@@ -124,6 +124,25 @@ def test_joining_survives_a_noisy_line(bench: Bench) -> None:
     bench.run_until(lambda: joined(bench), 15.0)
 
 
+def test_joining_survives_a_silence_of_the_line(bench: Bench) -> None:
+    plug_m4(bench, slack_m=0.05)
+    bench.run_until(lambda: "module_found" in bench.kinds(), 0.3)
+    bench.run(0.3)
+    bench.tamper = lambda reply: None
+    bench.run(0.06)
+    bench.tamper = None
+    bench.run_until(lambda: joined(bench), 4.0)
+
+
+def test_joining_survives_a_tripped_watchdog(bench: Bench) -> None:
+    plug_m4(bench, slack_m=0.05)
+    bench.run_until(lambda: "module_found" in bench.kinds(), 0.3)
+    bench.run(0.3)
+    bench.run(0.16, driver=False)
+    bench.run_until(lambda: "watchdog_cleared" in bench.kinds(), 0.5)
+    bench.run_until(lambda: joined(bench), 4.0)
+
+
 def test_a_fresh_joint_module_gets_an_id_of_its_own(bench: Bench) -> None:
     bench.chain.plug(JointModule(55, lambda: 0.25, 1, "wrist"))
     bench.announce("wrist", 55)
