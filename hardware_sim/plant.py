@@ -29,6 +29,7 @@ from runtime.settings import RobotSettings
 DT_S = 0.001
 START_TENSION_N = 8.0
 SLACK_M = 0.015  # of a wire that was just attached by hand
+WARM_STEPS = 20  # windings take minutes to warm: looked at every 20 ms
 STATE = mj.mjtState.mjSTATE_INTEGRATION  # with time and the solver's warm start
 
 
@@ -53,6 +54,7 @@ class Plant:
             len(self.wires), settings.module.winding_speed_m_s, self.simulation.ambient_degc
         )
         self.ruptured: set[str] = set()
+        self._steps = 0
         self._bind()
         self._rest()
 
@@ -81,7 +83,7 @@ class Plant:
     @property
     def path_length_m(self) -> Array:
         """Geometric length of each wire's path at the last `step`, shape (M,)."""
-        return np.asarray(self.data.ten_length)
+        return self._path_length
 
     @property
     def time_s(self) -> float:
@@ -97,8 +99,8 @@ class Plant:
     def sense(self) -> Array:
         """First half of a step: positions are current. Returns true tensions [N], shape (M,)."""
         mj.mj_step1(self.model, self.data)
-        stretch = self.data.ten_length - self._rest_length
-        tension: Array = elastic_tension_n(stretch, self.simulation.elastic_n_m)
+        stretch = self._path_length - self._rest_length
+        tension: Array = elastic_tension_n(stretch, self._elastic_n_m)
         if self.ruptured:
             tension[self._broken] = 0.0
         return tension
@@ -107,7 +109,10 @@ class Plant:
         """Second half of a step: motors follow winding speeds [m/s], the body moves on by 1 ms."""
         self._rest_length += self.drive.step(DT_S, command_m_s, tension_n)
         # after step1 the constraint bounds are built already: this takes effect at the next step
-        self.model.tendon_frictionloss[:] = tension_n * self._friction
+        np.multiply(tension_n, self._friction, out=self._friction_n)
+        self._steps += 1
+        if self._steps % WARM_STEPS == 0:
+            self.drive.warm(WARM_STEPS * DT_S, tension_n)
         mj.mj_step2(self.model, self.data)
 
     # ── a body that changes ───────────────────────────────────────────────────────────────────
@@ -133,7 +138,7 @@ class Plant:
             self._spec.body(place.link).add_site(name=site, pos=position)
             tendon.wrap_site(site)
         self._as_wire(tendon)
-        friction_n = self.model.tendon_frictionloss.copy()
+        friction_n = self._friction_n.copy()
         try:
             self.model, self.data = self._spec.recompile(self.model, self.data)
         except ValueError as error:
@@ -143,15 +148,15 @@ class Plant:
         self.wires.append(name)
         self.drive.add()
         self._bind()
-        self.model.tendon_frictionloss[:-1] = friction_n  # the other wires stick as they did
+        self._friction_n[:-1] = friction_n  # the other wires stick as they did
         mj.mj_fwdPosition(self.model, self.data)
-        self._rest_length[-1] = self.data.ten_length[-1] + SLACK_M
+        self._rest_length[-1] = self._path_length[-1] + SLACK_M
 
     def remove_muscle(self, name: str) -> None:
         """Take a wire off the body; everything else stays as it is."""
         index = self.wires.index(name)
         kept = np.delete(self._rest_length, index)
-        friction_n = np.delete(self.model.tendon_frictionloss, index)
+        friction_n = np.delete(self._friction_n, index)
         self._take_off(name)
         self.model, self.data = self._spec.recompile(self.model, self.data)
         self.wires.pop(index)
@@ -159,7 +164,7 @@ class Plant:
         self.ruptured.discard(name)
         self._bind()
         self._rest_length[:] = kept
-        self.model.tendon_frictionloss[:] = friction_n
+        self._friction_n[:] = friction_n
 
     def rupture(self, name: str) -> None:
         """Break a wire: no tension from now on, its length runs free."""
@@ -174,8 +179,9 @@ class Plant:
         mj.mj_getState(self.model, self.data, state, STATE)
         return {
             "wires": list(self.wires),
+            "steps": self._steps,
             "state": state.tolist(),
-            "friction_n": self.model.tendon_frictionloss.tolist(),
+            "friction_n": self._friction_n.tolist(),
             "speed_m_s": self.drive.speed_m_s.tolist(),
             "temperature_degc": self.drive.temperature_degc.tolist(),
             "ruptured": sorted(self.ruptured),
@@ -193,9 +199,10 @@ class Plant:
         if order != sorted(order):
             raise ValueError("the snapshot's wires are in another order than the body's")
         self.ruptured = set(snapshot["ruptured"])
+        self._steps = snapshot["steps"]
         self._bind()
         mj.mj_setState(self.model, self.data, np.array(snapshot["state"]), STATE)
-        self.model.tendon_frictionloss[:] = snapshot["friction_n"]
+        self._friction_n[:] = snapshot["friction_n"]
         self.drive.speed_m_s[:] = snapshot["speed_m_s"]
         self.drive.temperature_degc[:] = snapshot["temperature_degc"]
         mj.mj_fwdPosition(self.model, self.data)
@@ -236,9 +243,13 @@ class Plant:
         joint = [self.model.joint(name) for name in self.joints]
         self._qpos = np.array([int(j.qposadr[0]) for j in joint])
         self._dof = np.array([int(j.dofadr[0]) for j in joint])
-        # rest length is the second of each tendon's two plastic states
+        # Views, as finding them takes longer than using them. Rest length is the second of each
+        # tendon's two plastic states.
         self._rest_length = self.data.plastic.reshape(-1)[1::2]
-        self._friction = float(np.sinh(self.simulation.wire_friction))
+        self._path_length: Array = self.data.ten_length
+        self._friction_n = self.model.tendon_frictionloss
+        self._friction = np.array(np.sinh(self.simulation.wire_friction))
+        self._elastic_n_m = self.simulation.elastic_n_m
         self._broken = np.array([name in self.ruptured for name in self.wires], dtype=bool)
         stiffness = np.array(self.simulation.elastic_n_m)
         for index, name in enumerate(self.wires):
@@ -251,7 +262,7 @@ class Plant:
             self.data.qpos[self._qpos[index]] = np.radians(joint.rest_deg)
         mj.mj_forward(self.model, self.data)
         stretch = elastic_stretch_m(START_TENSION_N, self.simulation.elastic_n_m)
-        self._rest_length[:] = self.data.ten_length - stretch
+        self._rest_length[:] = self._path_length - stretch
 
     def _check_path(self, places: tuple[Place, ...]) -> None:
         bodies = {body.name for body in self._spec.bodies}

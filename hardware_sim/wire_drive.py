@@ -18,6 +18,9 @@ STALL_TENSION_N = 450.0  # tension at which the motor can no longer wind (assume
 HEATING_DEGC_N2 = 0.0075  # steady rise per squared tension: 27 degC at 60 N (assumed)
 THERMAL_TIME_S = 240.0  # of the winding (assumed)
 
+# numpy takes an array of no dimension at half the price of a float
+_NOTHING = np.array(0.0)
+
 
 class WireDrive:
     """Motors of M wires. Arrays have shape (M,) and grow by `add`.
@@ -28,37 +31,61 @@ class WireDrive:
     """
 
     def __init__(self, count: int, speed_limit_m_s: float, ambient_degc: float) -> None:
-        self.speed_limit_m_s = speed_limit_m_s
         self.ambient_degc = ambient_degc
+        self._limit_m_s = np.array(speed_limit_m_s)
+        self._slowing_m_s_n = np.array(speed_limit_m_s / STALL_TENSION_N)
         self.speed_m_s = np.zeros(count)
         self.temperature_degc = np.full(count, ambient_degc)
+        self._resize()
 
     def add(self) -> None:
         """One more motor, at rest and cold."""
         self.speed_m_s = np.append(self.speed_m_s, 0.0)
         self.temperature_degc = np.append(self.temperature_degc, self.ambient_degc)
+        self._resize()
 
     def remove(self, index: int) -> None:
         """Take one motor away."""
         self.speed_m_s = np.delete(self.speed_m_s, index)
         self.temperature_degc = np.delete(self.temperature_degc, index)
+        self._resize()
 
     def step(self, dt_s: float, command_m_s: Array, tension_n: Array) -> Array:
-        """Follow winding-speed commands for `dt_s`; returns the wire paid out [m], shape (M,)."""
-        v = self.speed_m_s
-        v += (command_m_s - v) * (dt_s / (LAG_S + dt_s))
-        winding = self.speed_limit_m_s * np.maximum(1.0 - tension_n / STALL_TENSION_N, 0.0)
-        np.minimum(np.maximum(v, -winding, out=v), self.speed_limit_m_s, out=v)
+        """Follow winding-speed commands for `dt_s`.
+
+        Returns:
+            The wire paid out [m], (M,); overwritten by the next call.
+        """
+        speed, change, winding = self.speed_m_s, self._change, self._winding
+        np.subtract(command_m_s, speed, out=change)
+        change *= dt_s / (LAG_S + dt_s)
+        speed += change
+        np.multiply(tension_n, self._slowing_m_s_n, out=winding)
+        winding -= self._limit_m_s
+        np.minimum(winding, _NOTHING, out=winding)  # at stall it winds no more
+        np.maximum(speed, winding, out=speed)
+        np.minimum(speed, self._limit_m_s, out=speed)
+        return np.multiply(speed, dt_s, out=change)
+
+    def warm(self, dt_s: float, tension_n: Array) -> None:
+        """Let the windings warm or cool for `dt_s`, short against `THERMAL_TIME_S`."""
         rise = HEATING_DEGC_N2 * tension_n * tension_n + self.ambient_degc - self.temperature_degc
         self.temperature_degc += rise * (dt_s / THERMAL_TIME_S)
-        return v * dt_s
+
+    def _resize(self) -> None:
+        self._change, self._winding = np.zeros((2, len(self.speed_m_s)))
 
 
 def elastic_tension_n(stretch_m: Array, curve: tuple[float, float, float]) -> Array:
     """Tension of the elastic element at a stretch; a slack wire carries none. Shape (M,)."""
     a, b, c = curve
-    e = np.maximum(stretch_m, 0.0)
-    return e * (a + e * (b + e * c))
+    e = np.maximum(stretch_m, _NOTHING)
+    tension: Array = e * c
+    tension += b
+    tension *= e
+    tension += a
+    tension *= e
+    return tension
 
 
 def elastic_stretch_m(tension_n: float, curve: tuple[float, float, float]) -> float:

@@ -23,6 +23,7 @@ def run(drive: WireDrive, command: float, tension: float, steps: int) -> None:
     count = len(drive.speed_m_s)
     for _ in range(steps):
         drive.step(DT_S, np.full(count, command), np.full(count, tension))
+        drive.warm(DT_S, np.full(count, tension))
 
 
 @pytest.mark.parametrize(
@@ -95,6 +96,7 @@ def test_winding_warms_with_the_square_of_tension() -> None:
 def test_a_motor_more_is_cold_and_still_and_one_fewer_leaves_the_others() -> None:
     drive = WireDrive(2, 0.25, 25.0)
     drive.step(DT_S, np.array([0.1, 0.2]), np.array([50.0, 90.0]))
+    drive.warm(DT_S, np.array([50.0, 90.0]))
     speed, temperature = drive.speed_m_s.copy(), drive.temperature_degc.copy()
     drive.add()
     assert drive.speed_m_s.tolist() == [*speed, 0.0]
