@@ -13,8 +13,10 @@ from runtime import messages as m
 from runtime.logic import MemoryStore
 from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings, TaskPath, load_robot
-from services.logic.executive import MAX_RESTARTS, Executive, Memory
+from services.logic.body import MAX_RESTARTS
+from services.logic.executive import Executive
 from services.logic.growth import GrowthRecord
+from services.logic.memory import Memory
 from services.logic.skeleton import Skeleton
 
 NOD = TaskPath(name="nod", targets_deg=((20.0,), (35.0,), (10.0,)))
@@ -300,7 +302,7 @@ def successor(robot: Robot, store: MemoryStore) -> Executive:
 
 
 def test_a_killed_executive_goes_on_with_its_task(robot: Robot) -> None:
-    store = robot.rig.executive._store
+    store = robot.rig.executive._notebook._store
     robot.ask(m.Task(name="nod"))
     robot.until(lambda: bool(robot.state and robot.state.step == 3), 10.0)
     robot.rig.run(0.1)
@@ -316,7 +318,7 @@ def test_a_killed_executive_goes_on_with_its_task(robot: Robot) -> None:
 
 
 def test_a_killed_executive_holds_the_posture_that_was_asked_for(robot: Robot) -> None:
-    store = robot.rig.executive._store
+    store = robot.rig.executive._notebook._store
     robot.ask(m.Reach(angle_rad={"elbow": float(np.radians(30.0))}))
     robot.rig.run(0.3)
     successor(robot, store)
@@ -330,7 +332,7 @@ def remembered(memory: Memory) -> MemoryStore:
 
 def recalled(store: MemoryStore) -> Memory:
     executive = new_executive(store)
-    executive._save()
+    executive._notebook.save()
     return msgspec.msgpack.decode(store["memory"], type=Memory)
 
 

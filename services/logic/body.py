@@ -1,0 +1,232 @@
+"""Which muscles are part of the body: takes in those that come, goes on without those that went.
+
+Watches the chains' modules against the schema's muscles and runs one `Growth` at a time. Every way
+that can fail ends in holding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+import numpy as np
+
+from runtime import messages as m
+from runtime.messages import Message
+from services.body_schema.schema import Schema, SchemaError
+from services.logic.arm import Arm
+from services.logic.growth import Growth, GrowthRecord, Target, spread_targets
+from services.logic.memory import Notebook
+
+LOST_S = 0.5  # a muscle gone for longer than this is gone
+TORN_S = 1.5  # and one that carries nothing for longer than this, though it should, is torn
+TORN_N = 2.0
+MAX_RESTARTS = 2  # of one growth, before the arm just holds
+MOTIONS_OF_REFIT = 2
+
+
+class Tell(Protocol):
+    """Makes an event of what happened."""
+
+    def __call__(self, level: str, kind: str, text: str, **data: str) -> None:
+        """Level, stable kind, sentence, data."""
+
+
+class Body:
+    """The muscles of the schema in use, and the growth under way.
+
+    Attributes:
+        growth: the procedure that runs, if one does.
+        schema_version: number of the schema that controls the arm.
+    """
+
+    def __init__(self, arm: Arm, notebook: Notebook, seed: int, tell: Tell) -> None:
+        self.growth: Growth | None = None
+        self.schema_version = 0
+        self._arm = arm
+        self._notebook = notebook
+        self._seed = seed
+        self._tell = tell
+        self._lost_s: dict[str, float] = {}
+        self._torn_s: dict[str, float] = {}
+
+    def receive(self, message: Message) -> None:
+        """Schemas, candidates, and how far training is."""
+        if isinstance(message, m.SchemaVersion) and not isinstance(message, m.SchemaCandidate):
+            self._take_schema(message)
+        if self.growth is not None:
+            self.growth.receive(message)
+
+    def tick(self, now_ns: int, dt_s: float) -> Iterator[Message]:
+        """Let the growth that is under way go on."""
+        growth = self.growth
+        assert growth is not None
+        yield from growth.tick(now_ns, dt_s)
+        if growth.dirty:
+            growth.dirty = False
+            self._notebook.save()
+        if growth.over:
+            self._end(growth)
+
+    def watch(self, dt_s: float) -> None:
+        """Start growing when a muscle has come, shrinking when one has gone for good."""
+        assert self._arm.schema is not None
+        known, memory = self._arm.schema.muscles, self._notebook.memory
+        memory.refused = [name for name in memory.refused if not self._is_gone(name)]
+        gone = self._missing(dt_s)
+        if self.growth is not None:
+            self._give_up_on(self.growth, gone)
+            return
+        gone = [name for name in gone if name not in self._arm.excluded]
+        if gone and len(known) > 1:
+            self._begin("shrink", gone[0], tuple(n for n in known if n != gone[0]))
+            return
+        for module in self._arm.modules():
+            new = module.kind == "muscle" and module.name and module.name not in known
+            if new and module.state in ("joining", "up") and module.name not in memory.refused:
+                returning = memory.known.get(module.name) == module.serial
+                kind = "refit" if returning else "grow"
+                self._begin(kind, module.name, (*known, module.name))
+                return
+
+    def relearn(self, method: str, n_new: int) -> None:
+        """Collect motions anew and learn the same body again."""
+        assert self._arm.schema is not None
+        muscles = self._arm.schema.muscles
+        self._begin("grow", muscles[-1], muscles, method, n_new)
+
+    def cancel(self, reason: str) -> None:
+        """End the growth that is under way, if one is."""
+        if self.growth is not None:
+            self.growth.over = reason
+            self._end(self.growth)
+
+    def resume(self) -> None:
+        """Go on with the growth that a former executive was about."""
+        memory = self._notebook.memory
+        record = memory.growth
+        if record is None:
+            return
+        record.restarts += 1
+        if record.restarts > MAX_RESTARTS:
+            memory.growth = None
+            memory.refused.append(record.muscle)
+            self._tell("error", "growth_given_up", "growth failed twice: the arm holds")
+        else:
+            self.growth = self._procedure(record)
+            if record.kind == "shrink":
+                self._arm.excluded.add(record.muscle)
+            text = f"growth of '{record.muscle}' goes on at stage {record.stage}"
+            self._tell("warning", "growth_resumed", text, stage=record.stage)
+        self._notebook.save()
+
+    # ── coming and going ──────────────────────────────────────────────────────────────────────
+
+    def _is_gone(self, muscle: str) -> bool:
+        module = self._arm.module(muscle)
+        return module is None or module.state == "lost"
+
+    def _missing(self, dt_s: float) -> list[str]:
+        """Muscles of the schema that have been without service for too long.
+
+        Gone from the chain, at fault, or wound in anew by the driver: then the wire was attached
+        anew and its length zero is another. Or torn: slack, though the plan asks for tension.
+        """
+        assert self._arm.schema is not None
+        felt = self._arm.felt()
+        missing = []
+        for name in self._arm.schema.muscles:
+            module = self._arm.module(name)
+            if module is not None and module.state == "up":
+                self._notebook.memory.known.setdefault(name, module.serial)
+            absent = module is None or module.state != "up"
+            torn = self.growth is None and name in felt and felt[name][1] < TORN_N
+            for times, counts in ((self._lost_s, absent), (self._torn_s, torn)):
+                times[name] = times.get(name, 0.0) + dt_s if counts else 0.0
+            if self._lost_s[name] > LOST_S or self._torn_s[name] > TORN_S:
+                missing.append(name)
+        return missing
+
+    def _give_up_on(self, growth: Growth, gone: list[str]) -> None:
+        """A muscle that leaves while the body grows ends the growth, unless it is why."""
+        record = growth.record
+        guest_gone = record.kind != "shrink" and self._is_gone(record.muscle)
+        if guest_gone or [name for name in gone if name != record.muscle]:
+            growth.over = "a muscle left meanwhile"
+
+    # ── growth ────────────────────────────────────────────────────────────────────────────────
+
+    def _begin(
+        self, kind: str, muscle: str, muscles: tuple[str, ...], method: str = "", n_new: int = 0
+    ) -> None:
+        growth, memory = self._arm.settings.growth, self._notebook.memory
+        count = {"grow": n_new or growth.n_new, "refit": MOTIONS_OF_REFIT, "shrink": 0}[kind]
+        record = GrowthRecord(
+            kind=kind,
+            muscle=muscle,
+            muscles=muscles,
+            base_version=self.schema_version,
+            method=method or growth.method,
+            seed=self._seed,
+            n_new=count,
+            n_check=growth.n_check,
+            return_rad=memory.goal_rad or tuple(self._arm.reference_rad.tolist()),
+            targets=self._targets(count, growth.n_check),
+        )
+        if kind == "shrink":
+            self._arm.excluded.add(muscle)
+            if not self._is_gone(muscle):  # it is broken: not taken back until it is plugged anew
+                memory.refused.append(muscle)
+        memory.growth = record
+        self.growth = self._procedure(record)
+        words = {"grow": "takes in", "refit": "takes back", "shrink": "goes on without"}[kind]
+        self._tell("info", f"{kind}_started", f"the body {words} '{muscle}'", muscle=muscle)
+
+    def _procedure(self, record: GrowthRecord) -> Growth:
+        return Growth(record, self._arm, self._arm.settings.growth.residual_limit_mm)
+
+    def _targets(self, learned: int, checked: int) -> tuple[Target, ...]:
+        """Two designs, each spread by itself: motions to learn from, motions to check on."""
+        assert self._arm.schema is not None
+        growth, known = self._arm.settings.growth, self._arm.schema.muscles
+        rng = np.random.default_rng([self._seed, len(known), self.schema_version])
+        bias_n = (growth.bias_min_n, growth.bias_max_n)
+        range_rad = self._arm.skeleton.range_rad
+        first = spread_targets(learned, range_rad, len(known), bias_n, rng)
+        return first + spread_targets(checked, range_rad, len(known), bias_n, rng)
+
+    def _end(self, growth: Growth) -> None:
+        record, memory = growth.record, self._notebook.memory
+        self.growth, memory.growth = None, None
+        name = record.muscle
+        if growth.over == "done":
+            module = self._arm.module(name)
+            if module is not None and record.kind != "shrink":
+                memory.known[name] = module.serial
+            words = "lost" if record.kind == "shrink" else "taken in"
+            text = f"the body schema has {words} '{name}'"
+            self._tell("info", f"{record.kind}_done", text, muscle=name)
+        elif record.kind == "refit":
+            memory.known.pop(name, None)  # so that it is learned from the start
+            self._tell("warning", "refit_refused", f"'{name}': {growth.over}", muscle=name)
+        else:
+            if name not in memory.refused:
+                memory.refused.append(name)
+            text = f"'{name}' is not taken in and the arm holds: {growth.over}"
+            if record.kind == "shrink":
+                text = f"the schema keeps '{name}' and the arm holds: {growth.over}"
+            self._tell("error", f"{record.kind}_failed", text, muscle=name)
+        self._notebook.save()
+
+    def _take_schema(self, message: m.SchemaVersion) -> None:
+        if message.version == self.schema_version and self._arm.schema is not None:
+            return
+        try:
+            schema = Schema.from_bytes(message.data)
+        except SchemaError as error:
+            self._tell("error", "schema_bad", f"schema version {message.version}: {error}")
+            return
+        self.schema_version = message.version
+        self._arm.use(schema)
+        text = f"schema version {message.version} ({message.method}) controls the arm now"
+        self._tell("info", "adopted", text, version=str(message.version))
