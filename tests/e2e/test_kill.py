@@ -123,7 +123,7 @@ def test_a_killed_process_is_noticed_and_back_soon(robot: Robot, process: str) -
     assert noticed_s[process] < NOTICED_LIMIT_S
     took_s = back_at - killed_at
     module, nice = MODULES[process]
-    assert took_s < bearable_s(BACK_S.get(process, OTHERS_BACK_S), took_s, module, nice)
+    assert took_s < bearable_s(BACK_S.get(process, OTHERS_BACK_S), took_s, f"import {module}", nice)
     assert stray < STRAY_DEG
     if process == "world":
         _, first = watch.wait_for(m.Clock, lambda x: x.incarnation > 1, since=since)

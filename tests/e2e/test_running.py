@@ -73,10 +73,10 @@ def test_estop_while_moving_lets_tension_go_and_latches(robot: Robot) -> None:
     print(f"estop: {strongest_n:.0f} N became {max(latest.tension_n):.1f} N")
     assert strongest_n > 2 * SLACK_N
 
+    watch.wait_for(m.ExecutiveState, lambda x: x.stage == "stopped", since=since)
     refused = robot.group.request(m.Task(name="sweep"))
     assert [reply.ok for reply in refused] == [False]
     assert "reset" in refused[0].text
-    watch.wait_for(m.ExecutiveState, lambda x: x.stage == "stopped", since=since)
 
 
 def test_a_stop_outlives_its_driver(robot: Robot) -> None:
