@@ -6,7 +6,7 @@ PACKAGES := runtime services hardware_sim dashboard experiments
 STAMP := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check format bench experiments clean
+.PHONY: help setup demo test check format bench pictures experiments clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -40,8 +40,13 @@ format: setup  ## put the code into shape
 bench: setup  ## measure the budgets
 	$(BIN)/pytest --quiet --capture=no tests/bench
 
+pictures: setup  ## the README's picture and the topic table, made anew
+	mkdir -p docs/pictures
+	$(BIN)/myograft demo --picture docs/pictures/demo.png
+	$(BIN)/python -m docs.topic_table
+
 experiments: setup  ## repeat the paper's experiments
-	$(BIN)/python -m experiments
+	$(BIN)/python -m experiments grow --seeds 11
 
 clean:  ## remove what was built, keep .venv
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 import time
 from contextlib import ExitStack
@@ -15,7 +16,7 @@ if TYPE_CHECKING:  # the command is listed without importing what it runs
     from experiments.score import Score
     from experiments.sequence import Result, Trace
     from experiments.session import Session
-    from runtime.settings import RobotSettings
+    from runtime.settings import Module, RobotSettings
 
 PAPER = {"before": ("0.0214", "7.74", "-"), "after": ("0.0245", "3.54", "-")}
 
@@ -39,6 +40,7 @@ class Demo:
         parser.add_argument("robot", nargs="?", default="elbow", help="robot or robot file")
         parser.add_argument("--name", default="", help="another name than the robot file's")
         parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
+        parser.add_argument("--picture", type=Path, metavar="PNG", help="put a copy of it there")
         parser.add_argument("--view", action="store_true", help="open the live Rerun view")
         parser.add_argument("--speed", type=float, default=1.0, help="robot time over wall time")
         parser.add_argument(
@@ -106,7 +108,9 @@ def _demo(args: argparse.Namespace) -> int:
         "recording": str(recording or ""),
         "summary_png": str(picture),
     }
-    _print(result, figures, time.monotonic() - start)
+    _print(result, figures, settings.module, time.monotonic() - start)
+    if args.picture:
+        shutil.copyfile(picture, args.picture)
     if args.json:
         args.json.write_text(json.dumps(figures, indent=2) + "\n")
     return 0
@@ -137,7 +141,7 @@ def _rows(result: Result) -> list[tuple[str, ...]]:
     ]
 
 
-def _print(result: Result, figures: dict[str, Any], wall_s: float) -> None:
+def _print(result: Result, figures: dict[str, Any], limits: Module, wall_s: float) -> None:
     rows = _rows(result)
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     print()
@@ -148,7 +152,14 @@ def _print(result: Result, figures: dict[str, Any], wall_s: float) -> None:
     print()
     print(f"from plug to resumed motion  {figures['plug_to_resumed_s']:.1f} s of robot time")
     print(f"relearning                   {figures['relearn_s']:.1f} s, {figures['n_new']} motions")
-    print(f"greatest true tension        {result.peak_tension_n:.0f} N at any instant")
+    print(
+        f"greatest true tension        {result.peak_tension_n:.0f} N at any instant, "
+        f"{limits.tension_limit_n:.0f} N are allowed"
+    )
+    print(
+        f"fastest commanded length     {result.peak_target_speed_m_s:.2f} m/s, "
+        f"the motors wind {limits.winding_speed_m_s:.2f} m/s"
+    )
     print(f"everything                   {wall_s:.0f} s of wall time")
     print(f"recording                    {figures['recording']}")
     print(f"picture                      {figures['summary_png']}")

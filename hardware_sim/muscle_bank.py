@@ -39,6 +39,12 @@ CHECK_NS = 5_000_000  # watchdog and temperatures are slow: looked at every 5 ms
 # A target's speed is measured over at least this long: packets come a little early or late.
 TARGET_WINDOW_NS = 10_000_000
 
+# numpy takes an array of no dimension at half the price of a float
+_SLACK_REFERENCE_N = np.array(SLACK_REFERENCE_N)
+_GAIN_HALVES_AT_N = np.array(GAIN_HALVES_AT_N)
+_LOAD_CELL_LOW_N = np.array(LOAD_CELL_N[0])
+_NOTHING, _ONE = np.array(0.0), np.array(1.0)
+
 
 class Mode(IntEnum):
     """What a module does with its wire. The values are those of the `status` register."""
@@ -95,30 +101,32 @@ class MuscleBank(MuscleRows):
         """
         self.now_ns = now_ns
         tension, length = self.tension_n, self.length_m
-        self._before_n[:] = tension
-        reference, speed = self._reference_n, self._v
+        reference, speed, guard, divisor = self._buffers
+        ahead = LOOK_AHEAD_S / dt_s
+        np.multiply(tension, -GUARD_GAIN_M_S_N * ahead, out=guard)
         np.subtract(tension_n, self.tension_tare_n, out=tension)
         np.subtract(length_m, self.length_zero_m, out=length)
-        self.temperature_degc[:] = temperature_degc
         if now_ns >= self._next_check_ns:
+            self.temperature_degc[:] = temperature_degc
             self._check(now_ns)
 
         np.subtract(length, self.target_length_m, out=reference)
         reference *= self.stiffness_n_m
         reference += self.bias_n
         np.minimum(reference, self._ceiling_n, out=reference)
-        np.maximum(reference, SLACK_REFERENCE_N, out=reference)
+        np.maximum(reference, _SLACK_REFERENCE_N, out=reference)
         np.subtract(tension, reference, out=speed)
         speed *= self._gain
-        speed /= 1.0 + np.maximum(tension, 0.0) / GAIN_HALVES_AT_N
-        speed += self._pay_out_m_s
+        np.add(tension, _GAIN_HALVES_AT_N, out=divisor)
+        np.maximum(divisor, _GAIN_HALVES_AT_N, out=divisor)
+        speed /= divisor
+        if self._stops:
+            speed += self._pay_out_m_s
 
-        guard = self._guard
-        np.subtract(tension, self._before_n, out=guard)
-        guard *= LOOK_AHEAD_S / dt_s
-        guard += tension
-        guard -= self._guard_n
-        guard *= GUARD_GAIN_M_S_N
+        # gain (f + ahead (f - f_before) - guard), f_before's part is there already
+        np.multiply(tension, GUARD_GAIN_M_S_N * (1.0 + ahead), out=divisor)
+        guard += divisor
+        guard -= self._guard_m_s
         np.maximum(speed, guard, out=speed)  # in every mode: a brake slips, too
         np.minimum(speed, self.winding_speed_limit_m_s, out=speed)
         np.maximum(speed, self._winding_limit_m_s, out=speed)
@@ -192,15 +200,17 @@ class MuscleBank(MuscleRows):
     def _use(self, table: Array) -> None:
         super()._use(table)
         count = len(self)
-        self._reference_n, self._v, self._guard, self._before_n = np.zeros((4, count))
-        self._gain, self._pay_out_m_s = np.zeros((2, count))
+        self._buffers = tuple(np.zeros((4, count)))
+        self._gain, self._pay_out_m_s, self._patience_ns = np.zeros((3, count))
         self._limits_changed()
         for index in range(count):
             self._set_drive(index)
+            self._set_patience(index)
         self._count_stops()
 
     def _limits_changed(self) -> None:
         self._guard_n = GUARD * self.tension_limit_n
+        self._guard_m_s = GUARD_GAIN_M_S_N * self._guard_n
         self._ceiling_n = self._guard_n * self.derating
         self._winding_limit_m_s = -self.winding_speed_limit_m_s
 
@@ -216,6 +226,7 @@ class MuscleBank(MuscleRows):
         else:
             mode = Mode.FOLLOWING
         self.mode[index] = mode
+        self._set_patience(index)
         if mode == Mode.FOLLOWING and before != Mode.FOLLOWING:
             self._start_following(index)
         self._set_drive(index)
@@ -234,8 +245,13 @@ class MuscleBank(MuscleRows):
 
     def _set_drive(self, index: int) -> None:
         mode = self.mode[index]
-        self._gain[index] = GAIN_M_S_N if mode == Mode.FOLLOWING else 0.0
+        gain = GAIN_M_S_N * GAIN_HALVES_AT_N  # to be divided by 40 N and the tension
+        self._gain[index] = gain if mode == Mode.FOLLOWING else 0.0
         self._pay_out_m_s[index] = STOP_SPEED_M_S if mode == Mode.STOPPING else 0.0
+
+    def _set_patience(self, index: int) -> None:
+        watched = self.watchdog_s[index] and self.torque[index] and not self.tripped[index]
+        self._patience_ns[index] = self.watchdog_s[index] * 1e9 if watched else np.inf
 
     def _count_stops(self) -> None:
         self._stops = bool(self.stop.any())
@@ -250,15 +266,23 @@ class MuscleBank(MuscleRows):
             self._set_drive(index)
 
     def _check(self, now_ns: int) -> None:
-        elapsed_s = CHECK_NS * 1e-9
         self._next_check_ns = now_ns + CHECK_NS
-        silent_s = (now_ns - self.heard_ns) * 1e-9
-        armed = (self.watchdog_s > 0.0) & (self.torque > 0.0)
-        armed &= (self.tripped == 0.0) & (silent_s > self.watchdog_s)
-        for index in np.flatnonzero(armed).tolist():
-            self.tripped[index] = 1.0
-            self._drive(index)
+        silent = now_ns - self.heard_ns > self._patience_ns
+        if silent.any():
+            for index in np.flatnonzero(silent).tolist():
+                self.tripped[index] = 1.0
+                self._drive(index)
+        odd = self.temperature_degc > self.temperature_limit_degc
+        odd |= self.derating < _ONE
+        odd |= self.tension_n > self.tension_limit_n
+        odd |= self.tension_n < _LOAD_CELL_LOW_N
+        odd |= self.overload_s > _NOTHING
+        if odd.any():
+            self._judge()
 
+    def _judge(self) -> None:
+        """Act on what is too hot, pulls too hard or reads what cannot be."""
+        elapsed_s = CHECK_NS * 1e-9
         hot = self.temperature_degc > self.temperature_limit_degc
         cool = self.temperature_degc < self.temperature_limit_degc - COOLED_DEGC
         if hot.any() or (self.derating < 1.0).any():

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 STEP_NS = 1_000_000
 NOISE_BLOCK = 1000  # rows of noise drawn at once: a draw of one row costs as much as forty
 MUSCLE_FAULTS = ("rupture", "overheat")  # what only a muscle can have
-NO_NOISE: Array = np.zeros((0, 0))  # the offsets changed: draw anew
+NO_NOISE: Array = np.zeros((0, 0, 0))  # the offsets changed: draw anew
 LOAD_CELL_OFFSET_N = 1.5  # spread of load cells that nobody tared
 
 
@@ -75,23 +75,19 @@ class SimulatedRobot:
         """One millisecond: sense, run the modules' loops, move."""
         plant = self.plant
         tension = plant.sense()
-        count = len(tension)
-        off = self._sensor_errors(count)
-        load = tension + off[:count]
+        load, length = self._sensor_errors(len(tension))
+        load += tension
+        length += plant.wire_length_m
         for name, reading in self._stuck.items():
             if name in self._modules:
                 load[plant.wires.index(name)] = reading
-        speed = self.bank.step(
-            DT_S,
-            load,
-            plant.wire_length_m + off[count:],
-            self._motor_temperature_degc(),
-            self.now_ns,
-        )
+        temperature = self._motor_temperature_degc()
+        speed = self.bank.step(DT_S, load, length, temperature, self.now_ns)
         plant.act(speed, tension)
         self._tension_n = tension
-        np.maximum(self._peaks[0], tension, out=self._peaks[0])
-        np.maximum(self._peaks[1], np.abs(plant.drive.speed_m_s), out=self._peaks[1])
+        peak_n, peak_m_s = self._peaks
+        np.maximum(peak_n, tension, out=peak_n)
+        np.maximum(peak_m_s, np.abs(plant.drive.speed_m_s), out=peak_m_s)
         self.now_ns += STEP_NS
 
     def exchange(self, request: m.BusRequest) -> tuple[m.BusReply, int]:
@@ -317,12 +313,15 @@ class SimulatedRobot:
             )
 
     def _sensor_errors(self, count: int) -> Array:
-        """What load cells [N] and then encoders [m] are off by in this step: offset and noise."""
-        if self._noise_row >= len(self._noise) or self._noise.shape[1] != 2 * count:
+        """What load cells [N] and encoders [m] are off by in this step, offset and noise: (2, M).
+
+        The caller may write into it: each row is given once.
+        """
+        if self._noise_row >= len(self._noise) or self._noise.shape[2] != count:
             simulation = self.settings.simulation
-            size = np.repeat((simulation.tension_noise_n, simulation.length_noise_m), count)
-            offset = np.concatenate((self._cell_offset_n, -self._encoder_offset_m))
-            self._noise = self._rng.normal(size=(NOISE_BLOCK, 2 * count)) * size + offset
+            size = np.array(((simulation.tension_noise_n,), (simulation.length_noise_m,)))
+            offset = np.stack((self._cell_offset_n, -self._encoder_offset_m))
+            self._noise = self._rng.normal(size=(NOISE_BLOCK, 2, count)) * size + offset
             self._noise_row = 0
         row: Array = self._noise[self._noise_row]
         self._noise_row += 1
