@@ -94,7 +94,7 @@ def held_out(schema: Schema, recording: Recording) -> tuple[list[float], float]:
 
 
 def _taut(recording: Recording) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """theta (T, N), f (T, M), l (T, M) of the taut samples, and which of them are held out."""
+    """The taut samples: theta (T, N), f (T, M), l (T, M), and which of them are held out."""
     taut = (recording.tension_n >= SLACK_N).all(axis=1)
     theta, f = recording.angle_rad[taut], recording.tension_n[taut]
     held = np.arange(len(theta)) % HELD_OUT_EVERY == 0
