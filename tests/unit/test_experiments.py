@@ -1,0 +1,172 @@
+"""A first schema is learned and written; a sweep is scored as by hand."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from experiments import learn
+from experiments.collect import SAMPLE_EVERY_MS, collect_old
+from experiments.score import SweepScorer
+from runtime.messages import ExecutiveState, WorldTruth
+from runtime.settings import RobotSettings, TaskPath, load_robot
+from services.body_schema import train
+from services.body_schema.motions import SLACK_N
+from services.body_schema.schema import Schema
+
+SETTINGS = msgspec.structs.replace(
+    load_robot("elbow"), task=(TaskPath(name="sweep", targets_deg=((30.0,), (60.0,))),)
+)
+MUSCLES = ("biceps_2", "triceps", "biceps_1")  # not in the robot file's order
+
+
+# ── scoring ───────────────────────────────────────────────────────────────────────────────────
+
+
+def state(step: int, *, settled: bool = True, **more: str) -> ExecutiveState:
+    return msgspec.structs.replace(
+        ExecutiveState(stage="move", task="sweep", step=step, steps=2, settled=settled), **more
+    )
+
+
+def truth(
+    degrees: float,
+    tension_n: tuple[float, ...],
+    muscles: tuple[str, ...] = MUSCLES,
+) -> WorldTruth:
+    zero = tuple(0.0 for _ in muscles)
+    return WorldTruth(
+        joints=("elbow",),
+        angle_rad=(float(np.radians(degrees)),),
+        muscles=muscles,
+        tension_n=tension_n,
+        length_m=zero,
+        peak_tension_n=zero,
+        peak_speed_m_s=zero,
+        peak_target_speed_m_s=zero,
+    )
+
+
+def test_figures_by_hand() -> None:
+    scorer = SweepScorer(SETTINGS, "sweep")
+    for message in (
+        state(1),
+        truth(31.0, (20.0, 99.0, 10.0)),
+        truth(33.0, (22.0, 99.0, 14.0)),
+        state(2),
+        truth(56.0, (6.0, 50.0, 30.0)),
+    ):
+        scorer.see(message)
+    score = scorer.score
+    # errors: the mean of 31 and 33 is 2 deg off, 56 is 4 deg off
+    assert score.e_theta_rad == pytest.approx(np.radians(3.0))
+    # flexors biceps_1, biceps_2 and the spare that is not there: (12, 21, 0) and (30, 6, 0)
+    spread = [np.sqrt((144 + 441) / 3 - 11**2), np.sqrt((900 + 36) / 3 - 12**2)]
+    assert spread == pytest.approx([8.602325, 12.961481])
+    assert score.sigma_f_n == pytest.approx(np.mean(spread))
+    assert score.peak_tension_n == 99.0
+
+
+def test_a_spare_that_is_plugged_in_counts_with_its_tension() -> None:
+    scorer = SweepScorer(SETTINGS, "sweep")
+    for step, degrees in ((1, 30.0), (2, 60.0)):
+        scorer.see(state(step))
+        scorer.see(truth(degrees, (9.0, 40.0, 9.0, 9.0), (*MUSCLES, "biceps_3")))
+    assert scorer.score.sigma_f_n == pytest.approx(0.0, abs=1e-12)
+    assert scorer.score.e_theta_rad == pytest.approx(0.0, abs=1e-12)
+
+
+def test_only_settled_moments_of_this_task_count_but_peaks_of_the_whole_way() -> None:
+    scorer = SweepScorer(SETTINGS, "sweep")
+    scorer.see(truth(90.0, (500.0, 0.0, 0.0)))  # nobody has said anything yet
+    for step, degrees in ((1, 30.0), (2, 60.0)):
+        scorer.see(state(step, settled=False))
+        scorer.see(truth(degrees + 20.0, (70.0, 80.0, 75.0)))
+        scorer.see(state(step))
+        scorer.see(truth(degrees, (10.0, 10.0, 10.0)))
+        for other in (
+            state(step, task="nod"),
+            state(step, growing="biceps_3"),
+        ):
+            scorer.see(other)
+            scorer.see(truth(0.0, (400.0, 0.0, 0.0)))
+        scorer.see(state(step, stage="hold"))
+        scorer.see(truth(0.0, (50.0, 0.0, 0.0)))
+    assert scorer.score.e_theta_rad == pytest.approx(0.0, abs=1e-12)
+    assert scorer.score.peak_tension_n == 80.0
+
+
+def test_a_target_at_which_the_arm_never_settled_is_no_score() -> None:
+    scorer = SweepScorer(SETTINGS, "sweep")
+    scorer.see(state(1))
+    scorer.see(truth(30.0, (10.0, 10.0, 10.0)))
+    scorer.see(state(2, settled=False))
+    scorer.see(truth(60.0, (10.0, 10.0, 10.0)))
+    with pytest.raises(ValueError, match=r"never settled at targets \[2\] of 'sweep'"):
+        _ = scorer.score
+
+
+# ── collecting and learning ───────────────────────────────────────────────────────────────────
+
+
+def test_collected_motion_is_what_sensors_say_of_every_posture_and_tension() -> None:
+    shares: list[float] = []
+    recording = collect_old(SETTINGS, seed=1, duration_s=10.0, progress=shares.append)
+    assert recording.joints == ("elbow",) and recording.muscles == SETTINGS.muscles
+    rows = 10_000 // SAMPLE_EVERY_MS
+    assert recording.angle_rad.shape == (rows, 1)
+    assert recording.tension_n.shape == recording.length_m.shape == (rows, 3)
+    assert shares == pytest.approx(np.arange(1, 11) / 10)
+    assert np.degrees(np.ptp(recording.angle_rad)) > 60.0
+    assert recording.tension_n.max() <= SETTINGS.module.tension_limit_n
+    again = collect_old(SETTINGS, seed=1, duration_s=1.0)
+    assert again.length_m.tolist() == recording.length_m[: len(again.length_m)].tolist()
+
+
+def options(out: Path | None, robot: str = "elbow") -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    learn.configure(parser)
+    words = [robot, "--quick", "--seconds", "100", *(["--out", str(out)] if out else [])]
+    return parser.parse_args(words)
+
+
+def test_learn_writes_a_schema_and_says_how_good_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(train, "OLD", replace(train.OLD, steps=5000))  # quick: a tenth of these
+    out = tmp_path / "made" / "elbow.safetensors"
+    assert learn.run(options(out)) == 0
+    schema = Schema.from_bytes(out.read_bytes())
+    assert schema.joints == SETTINGS.joints and schema.muscles == SETTINGS.muscles
+    said = capsys.readouterr().out
+    assert "held-out samples: length (mask 110) triceps" in said
+    recording = collect_old(SETTINGS, seed=9, duration_s=4.0)
+    residual_mm, angle_rad = learn.held_out(schema, recording)
+    assert max(residual_mm) < 6.0  # ten seconds of motion, hardly any training: rough, but it
+    assert angle_rad < 0.2  # has learned which way the muscles pull
+
+
+def test_every_tenth_taut_sample_is_held_out() -> None:
+    recording = collect_old(SETTINGS, seed=2, duration_s=2.0)
+    theta, f, length, held = learn._taut(recording)
+    assert len(theta) == len(f) == len(length) == len(held)
+    assert (f >= SLACK_N).all()
+    assert held.sum() == -(-len(held) // 10)
+    assert held[0] and not held[1:10].any()
+
+
+def test_a_robot_without_a_schema_file_needs_an_out(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def nameless(name: str) -> RobotSettings:
+        robot = msgspec.structs.replace(SETTINGS.robot, schema="")
+        return msgspec.structs.replace(SETTINGS, robot=robot)
+
+    monkeypatch.setattr(learn, "load_robot", nameless)
+    assert learn.run(options(None)) == 2
+    assert "names no schema; give --out FILE" in capsys.readouterr().out
