@@ -42,7 +42,7 @@ TOPICS = (
     Topic(m.ChainState, "chain/{chain}/state", 200),
     Topic(m.ChainCommand, "chain/{chain}/command", 100),
     Topic(m.JointState, "joint/state", 200),
-    Topic(m.JointEstimate, "joint/estimate", 200),
+    Topic(m.JointEstimate, "joint/estimate", 100),
     Topic(m.SchemaVersion, "schema", 0, Keep.RETAINED),
     Topic(m.SchemaCandidate, "schema/candidate", 0, Keep.RETAINED),
     Topic(m.SchemaVerdict, "schema/verdict", 0, Keep.RETAINED),

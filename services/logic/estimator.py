@@ -1,12 +1,13 @@
 """Where are the joints? Answered from muscle tension and length alone, by the body schema.
 
-One estimate is made for each complete set of readings: every chain that has muscles of the schema
-has said something new. It carries the stamp of the oldest reading in it.
+One estimate is made for each complete set of readings, about 100 times a second: every chain that
+has muscles of the schema has said something new. It carries the stamp of the oldest reading in it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import sqrt
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from services.body_schema.network import Array
 from services.body_schema.schema import Schema, SchemaError
 
 STALE_NS = 100_000_000  # a reading older than this tells nothing about now
+EVERY_NS = 9_000_000  # readings sooner than this after those of the last estimate are passed over
 FINEST_M = 1e-5  # no length sensor is trusted beyond this, whatever a schema says of itself
 
 
@@ -47,11 +49,12 @@ class Estimator:
         self._events: list[Event] = []
         self._states: dict[str, ChainState] = {}  # the newest of each chain
         self._unused: set[str] = set()  # chains heard from since the last estimate
+        self._last_ns = -EVERY_NS  # stamp of that
 
     def receive(self, message: Message, now_ns: int) -> None:
         """Keep a chain's newest state; take a schema into use if it is whole and ours."""
         match message:
-            case ChainState():
+            case ChainState() if abs(message.stamp_ns - self._last_ns) >= EVERY_NS:
                 self._states[message.chain] = message
                 self._unused.add(message.chain)
             case SchemaCandidate():
@@ -116,16 +119,18 @@ class Estimator:
         if not chains <= self._unused:
             return None
         self._unused.clear()
-        f = np.array([state.tension_n[column] for state, column in readings])
-        length = np.array([state.length_m[column] for state, column in readings])
-        if not (np.isfinite(f).all() and np.isfinite(length).all()):
+        f, length = np.array(
+            [(s.tension_n[column], s.length_m[column]) for s, column in readings]
+        ).T
+        if not (np.isfinite(f) & np.isfinite(length)).all():
             return None
+        self._last_ns = min(state.stamp_ns for state, _ in readings)
         theta = schema.estimate(f, length)
         predicted = schema.lengths(theta, f)
         anomaly = _anomaly(length, predicted, schema.length_sigma_m)
-        level = max(1.0, float(np.sqrt(np.mean(anomaly**2))))
+        level = max(1.0, sqrt(anomaly.dot(anomaly) / len(anomaly)))
         return JointEstimate(
-            stamp_ns=min(state.stamp_ns for state, _ in readings),
+            stamp_ns=self._last_ns,
             joints=schema.joints,
             angle_rad=tuple(theta.tolist()),
             confidence_rad=tuple((schema.angle_sigma_rad * level).tolist()),

@@ -130,8 +130,25 @@ def test_one_estimate_for_each_complete_set() -> None:
     assert told(estimator, 0, version(tiny_schema()), state("upper", 0)) == []
     assert len(told(estimator, 1 * MS, state("lower", 1 * MS))) == 1
     assert told(estimator, 2 * MS) == []
-    assert told(estimator, 5 * MS, state("upper", 5 * MS)) == []
-    assert len(told(estimator, 6 * MS, state("lower", 6 * MS))) == 1
+    assert told(estimator, 10 * MS, state("upper", 10 * MS)) == []
+    assert len(told(estimator, 11 * MS, state("lower", 11 * MS))) == 1
+
+
+def test_a_hundred_estimates_a_second_whatever_the_rate_of_the_chains() -> None:
+    estimator = Estimator(SETTINGS)
+    told(estimator, 0, version(tiny_schema()))
+    made: list[Message] = []
+    for now_ns in range(0, 1000 * MS, 5 * MS):
+        late = now_ns + now_ns // MS % 3 * MS // 4  # stamps are never quite regular
+        made += told(estimator, late, state("upper", late), state("lower", late))
+    assert len(made) == 100
+
+
+def test_goes_on_when_robot_time_begins_again() -> None:
+    estimator = Estimator(SETTINGS)
+    late = 1000 * MS
+    assert told(estimator, late, version(tiny_schema()), state("upper", late), state("lower", late))
+    assert told(estimator, 1, state("upper", 1), state("lower", 1))
 
 
 def test_silent_without_schema_and_at_once_with_it() -> None:
@@ -205,7 +222,8 @@ def test_bad_schema_is_told_once_and_the_former_kept(
     assert isinstance(event, Event)
     assert (event.kind, event.level, event.data["version"]) == ("schema_refused", "error", "2")
     assert told(estimator, 2, spoil(good)) == []
-    assert told(estimator, 3, state("upper", 0), state("lower", 0)) == [before]
+    later = told(estimator, 10 * MS, state("upper", 10 * MS), state("lower", 10 * MS))
+    assert later == [msgspec.structs.replace(before, stamp_ns=10 * MS)]
 
 
 def test_candidate_is_not_used() -> None:
@@ -215,5 +233,8 @@ def test_candidate_is_not_used() -> None:
     )
     estimator = Estimator(SETTINGS)
     (before,) = told(estimator, 0, good, state("upper", 0), state("lower", 0))
-    assert told(estimator, 0, candidate, state("upper", 0), state("lower", 0)) == [before]
-    assert told(estimator, 0, version(other, 2), state("upper", 0), state("lower", 0)) != [before]
+    for number, kind in enumerate((candidate, version(other, 2)), start=1):
+        now_ns = number * 10 * MS
+        (made,) = told(estimator, now_ns, kind, state("upper", now_ns), state("lower", now_ns))
+        same = made == msgspec.structs.replace(before, stamp_ns=now_ns)
+        assert same == isinstance(kind, SchemaCandidate)
