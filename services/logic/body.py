@@ -77,6 +77,7 @@ class Body:
         if self.growth is not None:
             self._give_up_on(self.growth, gone)
             return
+        self._welcome_back()
         gone = [name for name in gone if name not in self._arm.excluded]
         if gone and len(known) > 1:
             self._begin("shrink", gone[0], tuple(n for n in known if n != gone[0]))
@@ -99,7 +100,7 @@ class Body:
         """End the growth that is under way, if one is."""
         if self.growth is not None:
             self.growth.over = reason
-            self._end(self.growth)
+            self._end(self.growth, cancelled=True)
 
     def resume(self) -> None:
         """Go on with the growth that a former executive was about."""
@@ -121,6 +122,14 @@ class Body:
         self._notebook.save()
 
     # ── coming and going ──────────────────────────────────────────────────────────────────────
+
+    def _welcome_back(self) -> None:
+        """Rely again on muscles that were lost, could not be shrunk away, and are there again."""
+        refused = self._notebook.memory.refused  # the broken ones
+        back = {x for x in self._arm.excluded if x not in refused and not self._is_gone(x)}
+        if back:
+            self._arm.excluded -= back
+            self._arm.anchor()
 
     def _is_gone(self, muscle: str) -> bool:
         module = self._arm.module(muscle)
@@ -195,7 +204,7 @@ class Body:
         first = spread_targets(learned, range_rad, len(known), bias_n, rng)
         return first + spread_targets(checked, range_rad, len(known), bias_n, rng)
 
-    def _end(self, growth: Growth) -> None:
+    def _end(self, growth: Growth, *, cancelled: bool = False) -> None:
         record, memory = growth.record, self._notebook.memory
         self.growth, memory.growth = None, None
         name = record.muscle
@@ -206,7 +215,7 @@ class Body:
             words = "lost" if record.kind == "shrink" else "taken in"
             text = f"the body schema has {words} '{name}'"
             self._tell("info", f"{record.kind}_done", text, muscle=name)
-        elif record.kind == "refit":
+        elif record.kind == "refit" and not cancelled and not self._is_gone(name):
             memory.known.pop(name, None)  # so that it is learned from the start
             self._tell("warning", "refit_refused", f"'{name}': {growth.over}", muscle=name)
         else:
