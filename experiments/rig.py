@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -24,6 +25,15 @@ from services.logic.skeleton import Skeleton
 
 TRUTH_EVERY_MS = 5
 LINE_SLACK_NS = 1_000_000  # a reply that is out within the step is heard within the step
+
+
+@dataclass(slots=True, eq=False)
+class _Part:
+    """A logic that takes part, and when it acts next."""
+
+    logic: Logic
+    due_ns: int
+    woken: bool = False
 
 
 class RigTimeoutError(RuntimeError):
@@ -46,10 +56,8 @@ class Rig:
         self.events: list[m.Event] = []
         self.last: dict[type[Message], Message] = {}
         self.watchers: list[Callable[[Message], None]] = []
-        self._logics: list[Logic] = []
-        self._due: dict[int, int] = {}
-        self._woken: set[int] = set()
-        self._readers: dict[type[Message], list[Logic]] = defaultdict(list)
+        self._parts: list[_Part] = []
+        self._readers: dict[type[Message], list[_Part]] = defaultdict(list)
         self._replies: dict[str, deque[tuple[int, m.BusReply]]] = defaultdict(deque)  # by chain
         self.drivers = [
             self.add(MuscleDriver(settings, chain.name, MemoryStore())) for chain in settings.chain
@@ -71,11 +79,22 @@ class Rig:
 
     def add(self, logic: Any) -> Any:
         """Let a logic take part."""
-        self._logics.append(logic)
-        self._due[id(logic)] = self.robot.now_ns
+        part = _Part(logic, self.robot.now_ns)
+        self._parts.append(part)
         for kind in logic.inputs:
-            self._readers[kind].append(logic)
+            self._readers[kind].append(part)
         return logic
+
+    def remove(self, logic: Any) -> None:
+        """Take a logic out, as if its process had died."""
+        self._parts = [part for part in self._parts if part.logic is not logic]
+        for kind, parts in self._readers.items():
+            self._readers[kind] = [part for part in parts if part.logic is not logic]
+
+    @property
+    def logics(self) -> list[Logic]:
+        """All that take part."""
+        return [part.logic for part in self._parts]
 
     def ask(self, request: Message) -> Reply:
         """Put a request to the hands or to the logics that answer it."""
@@ -87,10 +106,10 @@ class Rig:
             self._publish([event])
             return Reply(ok=True, text=event.text, data=event.data)
         reply = Reply(ok=False, text=f"nobody answers {type(request).__name__}")
-        for logic in self._logics:
-            if type(request) in logic.requests:
-                reply = logic.answer(request, self.now_ns)
-                self._woken.add(id(logic))
+        for part in self._parts:
+            if type(request) in part.logic.requests:
+                reply = part.logic.answer(request, self.now_ns)
+                part.woken = True
         return reply
 
     def _by_hand(self, request: m.Plug | m.Unplug | m.Fault) -> m.Event:
@@ -129,19 +148,14 @@ class Rig:
             while waiting and waiting[0][0] <= now_ns:
                 self._publish([waiting.popleft()[1]])
         for _ in range(8):  # answers to answers within the step: ends as logics fall silent
-            ready = [
-                logic
-                for logic in self._logics
-                if id(logic) in self._woken or self._due[id(logic)] <= now_ns
-            ]
+            ready = [part for part in self._parts if part.woken or part.due_ns <= now_ns]
             if not ready:
                 break
-            for logic in ready:
-                key = id(logic)
-                self._woken.discard(key)
-                if self._due[key] <= now_ns:
-                    self._due[key] = now_ns + logic.period_ns
-                self._publish(logic.tick(now_ns))
+            for part in ready:
+                part.woken = False
+                if part.due_ns <= now_ns:
+                    part.due_ns = now_ns + part.logic.period_ns
+                self._publish(part.logic.tick(now_ns))
 
     def _publish(self, messages: Iterable[Message]) -> None:
         now_ns = self.robot.now_ns
@@ -163,9 +177,9 @@ class Rig:
             self.events.append(message)  # type: ignore[arg-type]
         for watcher in self.watchers:
             watcher(message)
-        for logic in self._readers.get(kind, ()):
-            logic.receive(message, self.robot.now_ns)
-            self._woken.add(id(logic))
+        for part in self._readers.get(kind, ()):
+            part.logic.receive(message, self.robot.now_ns)
+            part.woken = True
 
 
 def shipped_schema(settings: RobotSettings) -> bytes | None:

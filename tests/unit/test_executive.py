@@ -290,10 +290,7 @@ def successor(robot: Robot, store: MemoryStore) -> Executive:
     """Another executive in the rig in place of the one that was killed."""
     rig = robot.rig
     executive = new_executive(store)
-    rig._logics.remove(rig.executive)
-    for readers in rig._readers.values():
-        if rig.executive in readers:
-            readers.remove(rig.executive)
+    rig.remove(rig.executive)
     rig.executive = rig.add(executive)
     executive.resume()
     for kind in (m.ChainBody, m.SchemaVersion):  # what the bus retains

@@ -120,8 +120,8 @@ def test_the_trace_shows_what_was_asked_measured_and_true(demo: Demo) -> None:
 
 
 def test_services_never_see_the_truth(demo: Demo) -> None:
-    assert len(demo.rig._logics) == 4
-    for logic in demo.rig._logics:
+    assert len(demo.rig.logics) == 4
+    for logic in demo.rig.logics:
         assert m.WorldTruth not in logic.inputs, type(logic).__name__
     assert m.WorldTruth not in demo.rig._readers
 
