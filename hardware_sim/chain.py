@@ -81,10 +81,11 @@ class Chain:
         seconds = (len(request) + len(reply)) * BITS_PER_BYTE / self.baud
         if reply:
             answers = max(reply.count(HEADER), 1)
-            seconds += answers * max((m.return_delay_s for m in modules), default=0.0)
+            seconds += answers * max([m.return_delay_s for m in modules], default=0.0)
             seconds += 2 * len(modules) * HOP_DELAY_S
-            names = (self.name, *(m.name for m in modules))
-            seconds += sum(self.faults.amount("delay", name) or 0.0 for name in names)
+            if self.faults.active:
+                names = (self.name, *(m.name for m in modules))
+                seconds += sum(self.faults.amount("delay", name) or 0.0 for name in names)
         return round(seconds * 1e9)
 
     # ── instructions ──────────────────────────────────────────────────────────────────────────
@@ -227,6 +228,8 @@ def _together(voices: list[bytes]) -> bytes:
     Each begins a byte after the one before, as no two clocks agree; so not even equal answers
     look like one.
     """
+    if len(voices) == 1:
+        return voices[0]
     line = b""
     for delay, voice in enumerate(voices):
         late = b"\xff" * delay + voice

@@ -15,6 +15,7 @@ from runtime.wire.registers import BAUD_RATES, BY_NAME, GOALS, TABLE, Keep, Kind
 
 _AMBIENT_DEGC = 25
 _MAX_SPAN = 1024  # bytes that one read or write may touch
+_RETURN_DELAY_S = BY_NAME["return_delay"].scale
 _GOALS = {register.name for register in GOALS}
 _ENDLESS = {"present_position", "present_angle", "present_length", "target_length"}
 
@@ -57,7 +58,7 @@ class Module:
     @property
     def return_delay_s(self) -> float:
         """Pause before it answers [s]."""
-        return self._raw["return_delay"] * BY_NAME["return_delay"].scale
+        return self._raw["return_delay"] * _RETURN_DELAY_S
 
     @property
     def status_return_level(self) -> int:

@@ -136,9 +136,9 @@ class MuscleBank(MuscleRows):
 
     def capped(self, index: int) -> bool:
         """Whether the stiffness law asks for more tension than is allowed."""
-        stretch = self.length_m[index] - self.target_length_m[index]
-        wanted = self.bias_n[index] + self.stiffness_n_m[index] * stretch
-        return bool(wanted > self._ceiling_n[index])
+        stretch = self.length_m.item(index) - self.target_length_m.item(index)
+        wanted = self.bias_n.item(index) + self.stiffness_n_m.item(index) * stretch
+        return wanted > self._ceiling_n.item(index)
 
     # ── what a module is told ────────────────────────────────────────────────────────────────
 

@@ -151,7 +151,8 @@ class Decoder:
             packets.append(packet)
             start = end
         else:
-            start = self._discard(start, max(start, len(buffer) - _tail(buffer)))
+            if start < len(buffer):
+                start = self._discard(start, max(start, len(buffer) - _tail(buffer)))
         del buffer[:start]
         return packets
 
@@ -243,11 +244,10 @@ def sync_read(
 
 def sync_write(address: int, length: int, values: Mapping[int, bytes]) -> InstructionPacket:
     """The same span of many modules, each its own `length` bytes. Nobody answers."""
-    params = b"".join(
-        (_SPAN.pack(address, length), *(bytes((i,)) + data for i, data in values.items()))
-    )
-    if len(params) != _SPAN.size + len(values) * (1 + length):
+    each = b"".join([bytes((i,)) + data for i, data in values.items()])
+    if len(each) != len(values) * (1 + length):
         raise ValueError(f"sync write: not every value has {length} bytes")
+    params = _SPAN.pack(address, length) + each
     return InstructionPacket(BROADCAST, Instruction.SYNC_WRITE, params)
 
 

@@ -208,9 +208,10 @@ class MuscleDriver:
         """Take in the polls that are over, oldest first."""
         while self._polls:
             poll = self._polls[0]
-            overtaken = any(later.exchange.arrived for later in list(self._polls)[1:])
             if not (
-                poll.complete or overtaken or (new_cycle and self._line.over(poll.exchange, now_ns))
+                poll.complete
+                or any(later.exchange.arrived for later in self._polls if later is not poll)
+                or (new_cycle and self._line.over(poll.exchange, now_ns))
             ):
                 return
             self._polls.popleft()
