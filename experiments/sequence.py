@@ -106,7 +106,7 @@ def run_sequence(session: Session, trace: Trace, narrate: Narrate, spare: str = 
 
     middle = {joint.name: float(np.radians(HOLD_DEG)) for joint in settings.joint}
     session.ask(m.Reach(angle_rad=middle))
-    session.wait(_settled, 20.0, "the arm holding a posture")
+    session.wait(_resting_at(tuple(middle.values())), 20.0, "the arm holding a posture")
     candidates: list[m.SchemaCandidate] = []
     session.watchers.append(
         lambda message: (
@@ -189,8 +189,13 @@ def _event(kind: str) -> Callable[[Message], bool]:
     return lambda message: isinstance(message, m.Event) and message.kind == kind
 
 
-def _settled(message: Message) -> bool:
-    return isinstance(message, m.ExecutiveState) and message.settled and message.stage == "hold"
+def _resting_at(goal_rad: tuple[float, ...]) -> Callable[[Message], bool]:
+    return lambda message: (
+        isinstance(message, m.ExecutiveState)
+        and message.settled
+        and message.stage == "hold"
+        and np.allclose(message.reference_rad, goal_rad, atol=1e-3)
+    )
 
 
 def _growth_over(message: Message) -> bool:
