@@ -12,7 +12,7 @@ from runtime.wire.registers import BY_NAME, GOAL_BLOCK, GOALS, PRESENT_BLOCK, Ki
 
 __all__ = ["JointModule", "Mode", "Module", "MuscleBank", "MuscleModule"]
 
-_GOAL_HIGH = {register.name: register.high * register.scale for register in GOALS}
+_BIAS_HIGH_N, _STIFFNESS_HIGH_N_M, _ = (r.high * r.scale for r in GOALS)
 _BANK_ROWS = {  # register -> row of the bank that holds it
     "temperature_limit": "temperature_limit_degc",
     "tension_limit": "tension_limit_n",
@@ -48,13 +48,13 @@ class MuscleModule(Module):
             return super().read(address, length)
         bank, i = self.bank, self.index  # read all the time: a short way
         try:
-            return PRESENT_BLOCK.encode(
-                {
-                    "present_length": bank.length_m.item(i),
-                    "present_tension": bank.tension_n.item(i),
-                    "motor_temperature": bank.temperature_degc.item(i),
-                    "status": self._status(),
-                }
+            return PRESENT_BLOCK.pack(
+                (
+                    bank.length_m.item(i),
+                    bank.tension_n.item(i),
+                    bank.temperature_degc.item(i),
+                    self._status(),
+                )
             )
         except struct.error:  # off the scale: the long way clips
             return super().read(address, length)
@@ -63,14 +63,14 @@ class MuscleModule(Module):
         """As `Module.write`."""
         if address != GOAL_BLOCK.address or len(data) != GOAL_BLOCK.length:
             return super().write(address, data)
-        goals = GOAL_BLOCK.decode(data)  # written all the time: a short way
-        if any(value > _GOAL_HIGH[name] for name, value in goals.items()):
+        bias, stiffness, target = GOAL_BLOCK.unpack(data)  # written all the time: a short way
+        if bias > _BIAS_HIGH_N or stiffness > _STIFFNESS_HIGH_N_M:
             return StatusError.DATA_LIMIT
         if self._locked:
             return StatusError.DATA_RANGE
-        for name, row in _GOAL_ROWS.items():
-            getattr(self.bank, row)[self.index] = goals[name]
-        self.bank.set_target(self.index, goals["target_length"])
+        bank, i = self.bank, self.index
+        bank.bias_n[i], bank.stiffness_n_m[i] = bias, stiffness
+        bank.set_target(i, target)
         return StatusError.NONE
 
     def reboot(self) -> None:

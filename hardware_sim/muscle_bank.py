@@ -268,7 +268,7 @@ class MuscleBank(MuscleRows):
     def _check(self, now_ns: int) -> None:
         self._next_check_ns = now_ns + CHECK_NS
         silent = now_ns - self.heard_ns > self._patience_ns
-        if silent.any():
+        if any(silent.tolist()):
             for index in np.flatnonzero(silent).tolist():
                 self.tripped[index] = 1.0
                 self._drive(index)
@@ -277,7 +277,7 @@ class MuscleBank(MuscleRows):
         odd |= self.tension_n > self.tension_limit_n
         odd |= self.tension_n < _LOAD_CELL_LOW_N
         odd |= self.overload_s > _NOTHING
-        if odd.any():
+        if any(odd.tolist()):
             self._judge()
 
     def _judge(self) -> None:

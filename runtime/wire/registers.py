@@ -8,8 +8,9 @@ commands a chain and one sync read senses it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from enum import Enum, IntEnum
+from operator import mul, truediv
 from struct import Struct
 from typing import NamedTuple
 
@@ -112,18 +113,24 @@ class Block:
             codes += code if register.signed else code.upper()
         self.length = end - self.address
         self._struct = Struct("<" + codes)
-        self._columns = tuple((register.name, register.scale) for register in self.registers)
+        self._names = tuple(register.name for register in self.registers)
+        self._scales = tuple(register.scale for register in self.registers)
 
     def encode(self, values: Mapping[str, float]) -> bytes:
         """Register name -> value, all of them. Raises struct.error when one does not fit."""
-        return self._struct.pack(*[round(values[name] / scale) for name, scale in self._columns])
+        return self.pack([values[name] for name in self._names])
 
     def decode(self, data: bytes) -> dict[str, float]:
         """Register name -> value in its unit. `data` has at least `length` bytes."""
-        raw = self._struct.unpack_from(data)
-        return {
-            name: value * scale for (name, scale), value in zip(self._columns, raw, strict=True)
-        }
+        return dict(zip(self._names, self.unpack(data), strict=True))
+
+    def pack(self, values: Iterable[float]) -> bytes:
+        """As `encode`, of the values in the registers' order."""
+        return self._struct.pack(*map(round, map(truediv, values, self._scales)))
+
+    def unpack(self, data: bytes) -> Iterator[float]:
+        """As `decode`: the values in the registers' order."""
+        return map(mul, self._struct.unpack_from(data), self._scales)
 
 
 def block(*names: str) -> Block:
