@@ -167,7 +167,10 @@ class World:
                 (self._alive.add if message.alive else self._alive.discard)(chain)
                 self._heard_ns[chain] = self.robot.now_ns
         elif isinstance(message, m.BusRequest) and message.chain in self.robot.chains:
-            self._heard_ns[message.chain] = self.robot.now_ns
+            # When it was sent counts, not when it came: else a master that hears everything late,
+            # on a machine that is too slow, would be kept waiting for replies for good.
+            heard_ns = max(self._heard_ns[message.chain], message.stamp_ns)
+            self._heard_ns[message.chain] = min(heard_ns, self.robot.now_ns)
             reply, free_ns = self.robot.exchange(message)
             waiting = self._replies[message.chain]
             if free_ns - self.robot.now_ns <= STEP_NS and not waiting:

@@ -29,7 +29,7 @@ from services.logic.reception import Reception
 from services.logic.roster import Module, Roster
 from services.logic.stopping import Stopping
 
-PATIENCE_CYCLES = 4  # a reply may be that late; the next requests go out meanwhile
+PATIENCE_CYCLES = 8  # a reply may be that late; the next requests go out meanwhile
 RESCUE_NS = 100_000_000  # between two attempts to clear a tripped watchdog
 
 _WATCHDOG = BY_NAME["bus_watchdog"]

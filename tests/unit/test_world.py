@@ -86,9 +86,12 @@ class Live:
     def look(self) -> None:
         self.out += self.world.advance(self.wall_s)
 
-    def say(self, chain: str, packet: InstructionPacket, sequence: int = 1) -> None:
+    def say(
+        self, chain: str, packet: InstructionPacket, sequence: int = 1, late_ns: int = 0
+    ) -> None:
         data = wire.encode(packet)
-        self.world.receive(m.BusRequest(chain=chain, sequence=sequence, data=data))
+        now_ns = self.world.robot.now_ns - late_ns
+        self.world.receive(m.BusRequest(stamp_ns=now_ns, chain=chain, sequence=sequence, data=data))
 
     def master(self, chain: str, alive: bool = True) -> None:
         self.world.receive(m.Presence(process=f"driver-{chain}", alive=alive))
@@ -191,6 +194,14 @@ def test_a_living_master_is_waited_for_after_ten_milliseconds(live: Live) -> Non
     live.say("near", wire.ping(2))
     live.run(0.03)
     assert live.world.robot.now_ns == 2 * LEAD_NS
+
+
+def test_a_packet_counts_from_when_it_was_sent(live: Live) -> None:
+    live.master("near")
+    live.run(0.010)
+    live.say("near", wire.ping(2), late_ns=6 * MS)
+    live.run(0.05)
+    assert live.now_ms == -6 + 10 + 10
 
 
 def test_patience_with_a_silent_master_ends(live: Live) -> None:
