@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +30,11 @@ class Score:
 
 
 class SweepScorer:
-    """Watches messages during one task, and scores the moments at which the arm had settled."""
+    """Watches messages during one task, and scores the moments at which the arm had settled.
+
+    What was true is put beside what the executive said by their stamps: on a busy machine the
+    world's words may come long before or after the executive's.
+    """
 
     def __init__(self, settings: RobotSettings, task: str) -> None:
         self._task = task
@@ -37,24 +43,15 @@ class SweepScorer:
         )
         self._flexors = [x.name for x in settings.muscle if x.role == "flexor"]
         self._flexors += [x.name for x in settings.spare if x.role == "flexor"]
-        self._angles: dict[int, list[tuple[float, ...]]] = defaultdict(list)
-        self._tensions: dict[int, list[list[float]]] = defaultdict(list)
-        self._state: ExecutiveState | None = None
-        self._peak_n = 0.0
+        self._states: list[ExecutiveState] = []
+        self._truths: list[WorldTruth] = []
 
     def see(self, message: Message) -> None:
         """Take in the executive's word and the world's truth."""
         if isinstance(message, ExecutiveState):
-            self._state = message
-        elif isinstance(message, WorldTruth) and self._state is not None:
-            state = self._state
-            if state.task != self._task or state.growing:
-                return
-            self._peak_n = max(self._peak_n, *message.tension_n)
-            if state.settled and state.stage == "move":
-                tension = dict(zip(message.muscles, message.tension_n, strict=True))
-                self._angles[state.step].append(message.angle_rad)
-                self._tensions[state.step].append([tension.get(n, 0.0) for n in self._flexors])
+            self._states.append(message)
+        elif isinstance(message, WorldTruth):
+            self._truths.append(message)
 
     @property
     def score(self) -> Score:
@@ -63,11 +60,29 @@ class SweepScorer:
         Raises:
             ValueError: the arm never settled at some target.
         """
-        missing = [k for k in range(1, len(self._targets) + 1) if not self._angles[k]]
+        angles: dict[int, list[tuple[float, ...]]] = defaultdict(list)
+        tensions: dict[int, list[list[float]]] = defaultdict(list)
+        peak_n = 0.0
+        for state, truth in self._during_task():
+            peak_n = max(peak_n, *truth.tension_n)
+            if state.settled and state.stage == "move":
+                tension = dict(zip(truth.muscles, truth.tension_n, strict=True))
+                angles[state.step].append(truth.angle_rad)
+                tensions[state.step].append([tension.get(n, 0.0) for n in self._flexors])
+        missing = [k for k in range(1, len(self._targets) + 1) if not angles[k]]
         if missing:
             raise ValueError(f"the arm never settled at targets {missing} of '{self._task}'")
         errors, spreads = [], []
         for k, target in enumerate(self._targets, start=1):
-            errors.append(np.linalg.norm(target - np.mean(self._angles[k], axis=0)))
-            spreads.append(np.std(np.mean(self._tensions[k], axis=0)))
-        return Score(float(np.mean(errors)), float(np.mean(spreads)), self._peak_n)
+            errors.append(np.linalg.norm(target - np.mean(angles[k], axis=0)))
+            spreads.append(np.std(np.mean(tensions[k], axis=0)))
+        return Score(float(np.mean(errors)), float(np.mean(spreads)), peak_n)
+
+    def _during_task(self) -> Iterator[tuple[ExecutiveState, WorldTruth]]:
+        """Each truth of the task with the executive's last word before it."""
+        states = sorted(self._states, key=lambda state: state.stamp_ns)
+        stamps = [state.stamp_ns for state in states]
+        for truth in self._truths:
+            last = bisect_right(stamps, truth.stamp_ns) - 1
+            if last >= 0 and states[last].task == self._task and not states[last].growing:
+                yield states[last], truth

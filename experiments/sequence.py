@@ -155,7 +155,8 @@ def _sweep(session: Session, narrate: Narrate, title: str) -> Score:
 
     session.watchers.append(watch)
     session.ask(m.Task(name="sweep"))
-    session.wait(_event("task_done"), TASK_LIMIT_S, "the sweep")
+    done = session.wait(_event("task_done"), TASK_LIMIT_S, "the sweep")
+    session.wait(_truth_after(done.stamp_ns), 5.0, "the world's truth of the sweep's end")
     session.watchers.remove(watch)
     narrate(title, 1, 1)
     try:
@@ -183,6 +184,10 @@ class _GrowthProgress:
 
 def _in_stage(stage: str) -> Callable[[Message], bool]:
     return lambda message: isinstance(message, m.ExecutiveState) and message.stage == stage
+
+
+def _truth_after(stamp_ns: int) -> Callable[[Message], bool]:
+    return lambda message: isinstance(message, m.WorldTruth) and message.stamp_ns >= stamp_ns
 
 
 def _event(kind: str) -> Callable[[Message], bool]:

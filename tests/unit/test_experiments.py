@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import msgspec
@@ -28,9 +29,14 @@ MUSCLES = ("biceps_2", "triceps", "biceps_1")  # not in the robot file's order
 # ── scoring ───────────────────────────────────────────────────────────────────────────────────
 
 
+ticks = count()
+
+
 def state(step: int, *, settled: bool = True, **more: str) -> ExecutiveState:
     return msgspec.structs.replace(
-        ExecutiveState(stage="move", task="sweep", step=step, steps=2, settled=settled), **more
+        ExecutiveState(stage="move", task="sweep", step=step, steps=2, settled=settled),
+        stamp_ns=next(ticks),
+        **more,
     )
 
 
@@ -41,6 +47,7 @@ def truth(
 ) -> WorldTruth:
     zero = tuple(0.0 for _ in muscles)
     return WorldTruth(
+        stamp_ns=next(ticks),
         joints=("elbow",),
         angle_rad=(float(np.radians(degrees)),),
         muscles=muscles,
@@ -109,6 +116,15 @@ def test_a_target_at_which_the_arm_never_settled_is_no_score() -> None:
     scorer.see(truth(60.0, (10.0, 10.0, 10.0)))
     with pytest.raises(ValueError, match=r"never settled at targets \[2\] of 'sweep'"):
         _ = scorer.score
+
+
+def test_truth_belongs_to_what_was_said_at_its_time_however_late_it_comes() -> None:
+    scorer = SweepScorer(SETTINGS, "sweep")
+    tension_n = (10.0, 10.0, 10.0)
+    said = [state(1), truth(30.0, tension_n), state(2), truth(60.0, tension_n)]
+    for message in reversed(said):
+        scorer.see(message)
+    assert scorer.score.e_theta_rad == pytest.approx(0.0, abs=1e-12)
 
 
 # ── collecting and learning ───────────────────────────────────────────────────────────────────
