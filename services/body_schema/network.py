@@ -5,7 +5,7 @@ mask 110 asks for lengths, mask 011 for joint angles, mask 101 for tensions. A g
 out enters as zeros. Everything enters and leaves scaled without offset, so that zero stays zero:
 theta / scale, f / scale, (l - reference) / scale.
 
-`forward` is written once for numpy (serving) and torch (training).
+`forward` is written once; training gives it hidden layers of torch.
 """
 
 from __future__ import annotations
@@ -79,12 +79,19 @@ def initial_weights(config: NetworkConfig, seed: int) -> Weights:
     )
 
 
-def forward(weights: Sequence[Sequence[Any]], x: Any, tanh: Callable[[Any], Any] = np.tanh) -> Any:
-    """The whole network, x (B, N + 2 M + 3) -> (B, N + 2 M), numpy or (`torch.tanh`) torch."""
+def hidden(x: Array, w: Array, b: Array) -> Array:
+    """One hidden layer, x (B, in) -> (B, out)."""
+    return np.tanh(x @ w.T + b)
+
+
+def forward(
+    weights: Sequence[Sequence[Any]], x: Any, hidden: Callable[[Any, Any, Any], Any] = hidden
+) -> Any:
+    """The whole network, x (B, N + 2 M + 3) -> (B, N + 2 M), of numpy or of torch."""
     (w1, b1), (w2, b2), (w3, b3), (w4, b4), (w5, b5), (w6, b6) = weights
-    h = tanh(x @ w1.T + b1)  # (B, N + 2 M + 3) -> (B, 200)
-    h = tanh(h @ w2.T + b2)  # (B, 200) -> (B, 30)
-    z = tanh(h @ w3.T + b3)  # (B, 30) -> (B, Z): the latent space
-    h = tanh(z @ w4.T + b4)  # (B, Z) -> (B, 30)
-    h = tanh(h @ w5.T + b5)  # (B, 30) -> (B, 200)
+    h = hidden(x, w1, b1)  # (B, N + 2 M + 3) -> (B, 200)
+    h = hidden(h, w2, b2)  # (B, 200) -> (B, 30)
+    z = hidden(h, w3, b3)  # (B, 30) -> (B, Z): the latent space
+    h = hidden(z, w4, b4)  # (B, Z) -> (B, 30)
+    h = hidden(h, w5, b5)  # (B, 30) -> (B, 200)
     return h @ w6.T + b6  # (B, 200) -> (B, N + 2 M)

@@ -1,4 +1,4 @@
-"""Training of the body schema: the only file that imports torch.
+"""Training of the body schema. Only the `train` files import torch.
 
     train_old  h_old from data
     relearn    h_new from h_old and a handful of motions, the paper's loss and its schedules
@@ -26,11 +26,10 @@ from services.body_schema.network import (
     Array,
     NetworkConfig,
     Weights,
-    columns,
-    forward,
     initial_weights,
 )
 from services.body_schema.schema import Schema
+from services.body_schema.train_network import Trainee, losses_and_slope
 
 Progress = Callable[[int, int, float, float, float], None]  # epoch, epochs, loss, new, old
 
@@ -176,9 +175,20 @@ def distil(
 class _Data:
     """Scaled samples and their three masked inputs."""
 
-    inputs: torch.Tensor  # (3, T, N + 2 M + 3)
-    targets: torch.Tensor  # (T, N + 2 M)
-    keep: torch.Tensor  # (N + 2 M,): r, 0 where the target is not known
+    inputs: torch.Tensor  # (T, 3, N + 2 M + 3)
+    targets: torch.Tensor  # (T, 1, N + 2 M)
+    keep: torch.Tensor  # (T, 1, N + 2 M): r, 0 where the target is not known
+
+    def __len__(self) -> int:
+        return len(self.targets)
+
+    def __add__(self, other: _Data) -> _Data:
+        """These samples and behind them the others."""
+        return _Data(
+            torch.cat((self.inputs, other.inputs)),
+            torch.cat((self.targets, other.targets)),
+            torch.cat((self.keep, other.keep)),
+        )
 
 
 def _scaled(schema: Schema, theta: Array, f: Array, length: Array) -> _Data:
@@ -192,10 +202,9 @@ def _scaled(schema: Schema, theta: Array, f: Array, length: Array) -> _Data:
     inputs = [
         np.hstack((targets * np.repeat(mask, widths), np.tile(mask, (len(f), 1)))) for mask in MASKS
     ]
+    known = torch.tensor(targets[:, None], dtype=torch.float32)
     return _Data(
-        torch.tensor(np.stack(inputs), dtype=torch.float32),
-        torch.tensor(targets, dtype=torch.float32),
-        torch.ones(targets.shape[1]),
+        torch.tensor(np.stack(inputs, axis=1), dtype=torch.float32), known, torch.ones_like(known)
     )
 
 
@@ -246,54 +255,36 @@ def _train(
     """Weights that make L_new + w L_old small, from `start`'s."""
     torch.set_num_threads(1)  # the matrices are small, threads only cost; and it is reproducible
     random = torch.Generator().manual_seed(seed)
-    layers = [
-        tuple(torch.tensor(a, dtype=torch.float32, requires_grad=True) for a in layer)
-        for layer in start.weights
-    ]
-    parameters = [parameter for layer in layers for parameter in layer]
-    c = columns(len(start.joints), len(start.muscles))
-    groups = (c.theta, c.tension, c.length)
-    optimiser = torch.optim.Adam(parameters, lr=recipe.rate, fused=True)
+    network = Trainee(start.weights)
+    optimiser = torch.optim.Adam([network.parameters], lr=recipe.rate, fused=True)
+    sizes = (len(start.joints), len(start.muscles), len(start.muscles))
+    group_of = torch.eye(3).repeat_interleave(torch.tensor(sizes), dim=0)  # (N + 2 M, 3)
 
-    count = len(new.targets)
+    count = len(new)
+    data = new + old[0] if old else new
     per_epoch = math.ceil(count / recipe.batch)
     epochs = max(recipe.passes, math.ceil(recipe.steps / per_epoch))
     steps = epochs * per_epoch
     for epoch in range(epochs):
         w = old[1](epoch / epochs) if old else 0.0
-        sums = [0.0, 0.0]
-        order = torch.randperm(count, generator=random)
-        for i, picks in enumerate(torch.split(order, recipe.batch)):
+        rows = torch.randperm(count, generator=random)[None]
+        if w:
+            replayed = torch.randint(count, len(data), (1, count), generator=random)
+            rows = torch.cat((rows, replayed))
+        weights = torch.tensor((1.0, w))[: len(rows)]  # of L_new, L_old
+        sums = torch.zeros(2)
+        for i, picks in enumerate(torch.split(rows, recipe.batch, dim=1)):  # (2 or 1, B)
             optimiser.param_groups[0]["lr"] = _rate(recipe, (epoch * per_epoch + i) / steps)
-            x, y, keep = new.inputs[:, picks], new.targets[picks], new.keep
-            if old and w:
-                replay = old[0]
-                more = torch.randint(len(replay.targets), (len(picks),), generator=random)
-                x = torch.cat((x, replay.inputs[:, more]), dim=1)
-                y = torch.cat((y, replay.targets[more]))
-            out = forward(layers, x.flatten(0, 1), torch.tanh).view(3, len(y), -1)
-            error = out - y
-            loss_new = _norms(error[:, : len(picks)] * keep, groups)
-            loss_old = _norms(error[:, len(picks) :] * replay.keep, groups) if old and w else None
-            loss = loss_new if loss_old is None else loss_new + w * loss_old
-            optimiser.zero_grad()
-            torch.autograd.backward(loss)
+            out = network.forward(data.inputs[picks].flatten(0, 2))
+            error = (out.view(*picks.shape, 3, -1) - data.targets[picks]) * data.keep[picks]
+            losses, slope = losses_and_slope(error, group_of, weights)
+            network.backward(slope.flatten(0, 2))
             optimiser.step()
-            sums[0] += loss_new.item()
-            sums[1] += loss_old.item() if loss_old is not None else 0.0
+            sums[: len(losses)] += losses
         if progress:
-            loss_n, loss_o = sums[0] / per_epoch, sums[1] / per_epoch
-            progress(epoch + 1, epochs, loss_n + w * loss_o, loss_n, loss_o)
-    return tuple(
-        (w.detach().numpy().astype(np.float64), b.detach().numpy().astype(np.float64))
-        for w, b in layers
-    )
-
-
-def _norms(error: torch.Tensor, groups: tuple[slice, ...]) -> torch.Tensor:
-    """The groups' norms of an error (3, B, N + 2 M), summed over masks, mean over the batch."""
-    norms = [torch.linalg.vector_norm(error[..., group], dim=-1) for group in groups]
-    return torch.stack(norms).sum(dim=(0, 1)).mean()
+            loss_new, loss_old = (sums / per_epoch).tolist()
+            progress(epoch + 1, epochs, loss_new + w * loss_old, loss_new, loss_old)
+    return network.weights()
 
 
 def _rate(recipe: Recipe, done: float) -> float:

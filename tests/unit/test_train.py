@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from runtime.messages import Motion
 from services.body_schema import train
 from services.body_schema.growth import grow
 from services.body_schema.motions import TrainingError, refit, residuals_m, taut_samples
-from services.body_schema.network import Array, Mask
+from services.body_schema.network import Array, Mask, forward
 from services.body_schema.schema import Schema
 from services.body_schema.train import Recipe, distil, relearn, train_old
+from services.body_schema.train_network import Trainee, losses_and_slope
 from tests.unit import analytic_body as body
 
 OLD, NEW = body.MUSCLES[:3], body.MUSCLES[3]
@@ -131,6 +133,35 @@ def test_losses_are_the_papers_norms(old: Schema) -> None:
             for got, data, scale in zip(out, (t, g, k), scales, strict=True):
                 expected += float(np.linalg.norm((got - data) / scale)) / len(f)
     assert seen[0] == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_gradient_written_out_is_that_of_autograd(old: Schema) -> None:
+    random = torch.Generator().manual_seed(1)
+    picked, masks, inputs, outputs = 5, 3, 1 + 2 * 3 + 3, 1 + 2 * 3
+    x = torch.randn((2 * picked * masks, inputs), generator=random)
+    target = torch.randn((2, picked, masks, outputs), generator=random)
+    group_of = torch.eye(3).repeat_interleave(torch.tensor((1, 3, 3)), dim=0)
+    weights = torch.tensor((1.0, 0.3))
+
+    network = Trainee(old.weights)
+    losses, slope = losses_and_slope(
+        network.forward(x).view(target.shape) - target, group_of, weights
+    )
+    network.backward(slope.flatten(0, 2))
+
+    layers = [
+        tuple(torch.tensor(a, dtype=torch.float32, requires_grad=True) for a in layer)
+        for layer in old.weights
+    ]
+    error = forward(layers, x, lambda x, w, b: torch.tanh(x @ w.T + b)).view(target.shape) - target
+    groups = (error[..., :1], error[..., 1:4], error[..., 4:])
+    norms = sum(torch.linalg.vector_norm(group, dim=-1) for group in groups)
+    expected = norms.sum(dim=2).mean(dim=1)
+    torch.autograd.backward(expected @ weights)
+    assert losses.tolist() == pytest.approx(expected.tolist(), rel=1e-5)
+    gradient = torch.cat([a.grad.flatten() for layer in layers for a in layer])
+    assert network.parameters.grad is not None
+    torch.testing.assert_close(network.parameters.grad, gradient, rtol=1e-4, atol=1e-6)
 
 
 def test_copying_nothing_is_the_papers_control(old: Schema) -> None:
