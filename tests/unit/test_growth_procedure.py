@@ -195,7 +195,7 @@ def test_joining_waits_for_the_module_and_gives_up_in_words() -> None:
     run.module_is("joining")
     run.until(lambda: bool(run.growth.over), JOIN_LIMIT_S + 1.0)
     assert run.stage == "join"
-    assert run.growth.over == "muscle 'biceps_3' did not come up within 20 s"
+    assert run.growth.over == "muscle 'biceps_3' did not come up within 40 s"
     assert run.seconds == pytest.approx(JOIN_LIMIT_S, abs=0.1)
 
 
