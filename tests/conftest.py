@@ -1,6 +1,6 @@
 """For all tests: properties are tried on the same examples in every run, however slow the machine.
 
-A fresh checkout builds Hypothesis's tables first, which its health check would take for a slow test.
+A fresh checkout builds tables of characters first, which a health check would take for slowness.
 """
 
 from __future__ import annotations
