@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import statistics
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -11,12 +12,12 @@ import pytest
 
 from runtime import messages as m
 from runtime.messages import Message
-from tests.e2e.conftest import Robot, Watch, bearable_s, elbow, running
+from tests.e2e.conftest import Robot, Watch, elbow, running, waited_s
 
 pytestmark = pytest.mark.e2e
 
 NOTICED_S = 0.05  # median over the kills
-NOTICED_LIMIT_S = 0.5  # of any one, on a machine that others use, too
+NOTICED_LIMIT_S = 1.0  # of any one: a process that is to die needs the processor for it, too
 BACK_S = {"driver-arm": 1.0}  # wall time until a process's data are there again
 OTHERS_BACK_S = 3.0
 STRAY_DEG = 10.0
@@ -64,15 +65,6 @@ DATA = {
     "recorder": Data(m.Health, healthy),
     "viz": Data(m.Event, viewed),
 }
-MODULES = {  # and how nice they are
-    "world": ("hardware_sim.world", 0),
-    "driver-arm": ("services.muscle_driver", 0),
-    "estimator": ("services.estimator", 0),
-    "executive": ("services.executive", 0),
-    "retrainer": ("services.retrainer", 10),
-    "recorder": ("services.recorder", 0),
-    "viz": ("dashboard.viz", 5),
-}
 noticed_s: dict[str, float] = {}
 
 
@@ -87,16 +79,14 @@ def death(process: str) -> Callable[[Message], bool]:
 
 
 def strayed_deg(watch: Watch, since: int, until: int) -> float:
-    """Greatest distance of the true angle from the last reference that was said."""
-    heard = [h.message for h in watch.heard[:until]]
-    said = [x.reference_rad for x in heard[:since] if isinstance(x, m.ExecutiveState)]
-    reference = next(x for x in reversed(said) if x)
+    """Greatest distance of the true angle from the last reference said before it."""
+    said = [x for x in watch.of(m.ExecutiveState) if x.reference_rad]
+    stamps = [x.stamp_ns for x in said]
     worst = 0.0
-    for message in heard[since:]:
-        if isinstance(message, m.ExecutiveState) and message.reference_rad:
-            reference = message.reference_rad
-        elif isinstance(message, m.WorldTruth):
-            worst = max(worst, float(np.max(np.abs(np.subtract(message.angle_rad, reference)))))
+    for heard in watch.heard[since:until]:
+        if isinstance(truth := heard.message, m.WorldTruth):
+            reference_rad = said[bisect_right(stamps, truth.stamp_ns) - 1].reference_rad
+            worst = max(worst, float(np.max(np.abs(np.subtract(truth.angle_rad, reference_rad)))))
     return float(np.degrees(worst))
 
 
@@ -109,21 +99,20 @@ def test_a_killed_process_is_noticed_and_back_soon(robot: Robot, process: str) -
     since = watch.mark()
     killed_at = robot.kill(process)
     died_at, _ = watch.wait_for(Message, death(process), since=since)
+    noticed_s[process] = died_at - killed_at
     after = watch.mark()
     back_at, _ = watch.wait_for(data.kind, lambda x: data.wanted(x, old_pid), since=after)
     until = watch.mark()
     assert robot.group.wait_for(lambda group: group.ready, 10)
-
-    noticed_s[process] = died_at - killed_at
+    elsewhere_s = waited_s(robot.pid(process))
     stray = strayed_deg(watch, since, until)
     print(
         f"{process:11} noticed in {noticed_s[process] * 1e3:5.1f} ms, "
-        f"back in {back_at - killed_at:4.2f} s, arm within {stray:4.1f} deg"
+        f"back in {back_at - killed_at:4.2f} s, of which {elsewhere_s:4.2f} s were others', "
+        f"arm within {stray:4.1f} deg"
     )
     assert noticed_s[process] < NOTICED_LIMIT_S
-    took_s = back_at - killed_at
-    module, nice = MODULES[process]
-    assert took_s < bearable_s(BACK_S.get(process, OTHERS_BACK_S), took_s, f"import {module}", nice)
+    assert back_at - killed_at - elsewhere_s < BACK_S.get(process, OTHERS_BACK_S)
     assert stray < STRAY_DEG
     if process == "world":
         _, first = watch.wait_for(m.Clock, lambda x: x.incarnation > 1, since=since)
@@ -138,7 +127,7 @@ def test_a_killed_process_is_noticed_and_back_soon(robot: Robot, process: str) -
 
 
 def test_deaths_are_noticed_within_50_ms(robot: Robot) -> None:
-    """The median: single ones wait for the processor on a machine that others use, too."""
+    """The median: on a busy machine some wait for the processor to die on."""
     assert len(noticed_s) == len(DATA)
     assert statistics.median(noticed_s.values()) < NOTICED_S
 
