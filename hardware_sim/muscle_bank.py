@@ -36,7 +36,7 @@ COOLED_DEGC = 5.0  # below the limit: full tension is allowed again
 DERATE_1_S = 0.1  # an overheated module gives up a tenth of its reference's limit a second
 DERATE_MIN = 0.3
 CHECK_NS = 5_000_000  # watchdog and temperatures are slow: looked at every 5 ms
-# A target's speed is measured over at least this long: packets come a little early or late.
+# A target's speed is measured by the packets' stamps, over at least this long.
 TARGET_WINDOW_NS = 10_000_000
 
 # numpy takes an array of no dimension at half the price of a float
@@ -72,6 +72,7 @@ class MuscleBank(MuscleRows):
 
     def __init__(self) -> None:
         self.now_ns = 0
+        self.sent_ns = 0  # when the packet that is being obeyed was sent, if that is known
         self._next_check_ns = 0
         super().__init__()
 
@@ -146,16 +147,17 @@ class MuscleBank(MuscleRows):
         """A new target length; how fast it moved is measured where it was obeyed."""
         obeyed = self.mode.item(index) == Mode.FOLLOWING and self.stiffness_n_m.item(index) > 0.0
         since_ns = self.target_since_ns.item(index)
+        sent_ns = self.sent_ns or self.now_ns
         if not obeyed:
             self.target_since_ns[index] = -1
         elif since_ns < 0:
-            self.target_since_ns[index], self.target_from_m[index] = self.now_ns, length_m
-        elif self.now_ns - since_ns >= TARGET_WINDOW_NS:
-            elapsed_s = (self.now_ns - since_ns) * 1e-9
+            self.target_since_ns[index], self.target_from_m[index] = sent_ns, length_m
+        elif sent_ns - since_ns >= TARGET_WINDOW_NS:
+            elapsed_s = (sent_ns - since_ns) * 1e-9
             speed = abs(length_m - self.target_from_m.item(index)) / elapsed_s
             if speed > self.peak_target_speed_m_s.item(index):
                 self.peak_target_speed_m_s[index] = speed
-            self.target_since_ns[index], self.target_from_m[index] = self.now_ns, length_m
+            self.target_since_ns[index], self.target_from_m[index] = sent_ns, length_m
         self.target_length_m[index] = length_m
 
     def set_limit(self, index: int, row: str, value: float) -> None:

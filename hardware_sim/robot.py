@@ -93,6 +93,7 @@ class SimulatedRobot:
     def exchange(self, request: m.BusRequest) -> tuple[m.BusReply, int]:
         """What a chain answers to bytes, and the robot time at which the line is free again."""
         chain = self.chains[request.chain]
+        self.bank.sent_ns = request.stamp_ns
         data = chain.receive(request.data, self.now_ns)
         reply = m.BusReply(
             stamp_ns=self.now_ns, chain=request.chain, sequence=request.sequence, data=data

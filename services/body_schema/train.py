@@ -45,7 +45,7 @@ class Recipe:
 
 
 OLD = Recipe(steps=20_000, batch=128, rate=4e-3)
-NEW = Recipe(steps=2000, batch=32, rate=2e-3, passes=25)
+NEW = Recipe(steps=3000, batch=32, rate=2e-3, passes=25)
 LESS = Recipe(steps=2000, batch=64, rate=2e-3)
 REPLAYED = 8192  # random (theta, f) that h_old is asked about
 
