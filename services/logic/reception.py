@@ -76,7 +76,8 @@ class Reception:
         """Go on with a module as it is."""
         if module.kind is Kind.MUSCLE:
             stiffness = self.settings.control.stiffness_n_m
-            if (yield from joining.take_over(module, self.chain, stiffness)):
+            latched = yield from joining.take_over(module, self.chain, stiffness)
+            if latched and module.serial not in self.roster.clearing:
                 self.roster.stopped = True
         module.state, module.fault = "up", ""
         module.polled, module.missed, module.garbled = True, 0, 0

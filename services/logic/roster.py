@@ -97,6 +97,7 @@ class Roster:
     modules: list[Module] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        self.clearing: set[int] = set()  # serials that have yet to let go of a cleared stop
         blob = self.store.load(f"chain-{self.chain}")
         try:
             self._memory = msgspec.json.decode(blob, type=_Memory) if blob else _Memory()

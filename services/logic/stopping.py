@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from runtime.messages import Reply
 from runtime.wire import packet as wire
 from runtime.wire.packet import InstructionPacket
-from runtime.wire.registers import BY_NAME, Status
+from runtime.wire.registers import BY_NAME, Kind, Status
 from services.logic.reference import JOIN_BIAS_N
 from services.logic.roster import Module, Roster
 
@@ -32,7 +32,6 @@ class Stopping:
         self._roster = roster
         self._slack = False
         self._told = False
-        self._clearing: set[int] = set()  # serial numbers that have yet to let go of the latch
 
     @property
     def mode(self) -> str:
@@ -45,7 +44,7 @@ class Stopping:
         """Latch. The packets go out with the next tick."""
         self._roster.stopped = True
         self._slack = self._told = False
-        self._clearing.clear()
+        self._roster.clearing.clear()
         if not muscles:
             text = f"no muscle answers on chain {chain}; whoever comes back will be stopped"
             return Reply(ok=False, text=text)
@@ -57,8 +56,9 @@ class Stopping:
         if not self._roster.stopped:
             return Reply(ok=True, text=f"chain {chain} was not stopped")
         self._roster.stopped = self._slack = self._told = False
+        # also those that do not answer now: when they are back, their latch is an old one
+        self._roster.clearing = {m.serial for m in self._roster.modules if m.kind is Kind.MUSCLE}
         for muscle in self._roster.muscles():
-            self._clearing.add(muscle.serial)
             if muscle.reference.stiffness_n_m > 0.0:
                 muscle.reference.bias_n = JOIN_BIAS_N
                 muscle.reference.hold(muscle.reading, muscle.tension_n)
@@ -70,8 +70,8 @@ class Stopping:
         """Compare with what the muscles say; gives the words when all have come to a stop."""
         for muscle in muscles:
             if not muscle.status & _LATCHED:
-                self._clearing.discard(muscle.serial)
-            elif muscle.serial not in self._clearing:
+                self._roster.clearing.discard(muscle.serial)
+            elif muscle.serial not in self._roster.clearing:
                 self._roster.stopped = True  # latched by another hand, or before a restart
         if not self._roster.stopped:
             return
@@ -95,7 +95,7 @@ class Stopping:
             ids = [muscle.id for muscle in muscles if not muscle.status & _LATCHED]
             ids += [i for i in self._roster.expected_ids() if i not in there]
         else:
-            ids = [muscle.id for muscle in muscles if muscle.serial in self._clearing]
+            ids = [muscle.id for muscle in muscles if muscle.serial in self._roster.clearing]
         if not ids:
             return []
         value = _STOP.encode(1 if self._roster.stopped else 0)

@@ -381,6 +381,20 @@ def test_a_driver_without_memory_learns_of_the_stop_from_the_modules(bench: Benc
     assert bench.states[-1].mode == "stopped"
 
 
+def test_a_module_that_was_away_at_the_reset_lets_go_when_it_is_back(bench: Bench) -> None:
+    bench.ask(m.Estop())
+    bench.run(2.0)
+    bench.chain.faults.set("drop", "m2", 1.0)
+    bench.run_until(lambda: "lost" in bench.kinds())
+    assert bench.ask(m.Reset()).ok
+    bench.run(0.1)
+    bench.chain.faults.clear("drop", "m2")
+    bench.run_until(lambda: "returned" in bench.kinds())
+    bench.run(0.2)
+    assert bench.driver.mode in ("hold", "follow")
+    assert not any(bench.bank.stop)
+
+
 def test_a_reset_holds_where_the_arm_is(bench: Bench) -> None:
     bench.ask(m.Estop())
     bench.run(2.0)
