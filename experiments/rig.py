@@ -17,6 +17,7 @@ from runtime import messages as m
 from runtime.logic import Logic, MemoryStore
 from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings
+from services.logic.arm import Arm
 from services.logic.estimator import Estimator
 from services.logic.executive import Executive
 from services.logic.muscle_driver import MuscleDriver
@@ -50,7 +51,15 @@ class Rig:
         last: newest message of each type.
     """
 
-    def __init__(self, settings: RobotSettings, seed: int = 0, services: bool = True) -> None:
+    def __init__(
+        self,
+        settings: RobotSettings,
+        seed: int = 0,
+        services: bool = True,
+        arm: type[Arm] = Arm,
+        retrainer: bool = True,
+        stores: dict[str, MemoryStore] | None = None,
+    ) -> None:
         self.settings = settings
         self.robot = SimulatedRobot(settings, seed)
         self.events: list[m.Event] = []
@@ -59,18 +68,21 @@ class Rig:
         self._parts: list[_Part] = []
         self._readers: dict[type[Message], list[_Part]] = defaultdict(list)
         self._replies: dict[str, deque[tuple[int, m.BusReply]]] = defaultdict(deque)  # by chain
+        self.stores = stores or {chain.name: MemoryStore() for chain in settings.chain}
         self.drivers = [
-            self.add(MuscleDriver(settings, chain.name, MemoryStore())) for chain in settings.chain
+            self.add(MuscleDriver(settings, chain, store)) for chain, store in self.stores.items()
         ]
         if services:
             self.estimator = self.add(Estimator(settings))
-            self.retrainer = self.add(
-                Retrainer(
-                    settings, MemoryStore(), shipped_schema(settings), _at_once, wall_s=perf_counter
+            if retrainer:
+                shipped = shipped_schema(settings)
+                self.retrainer = self.add(
+                    Retrainer(settings, MemoryStore(), shipped, _at_once, wall_s=perf_counter)
                 )
-            )
             skeleton = Skeleton(settings.body_file, settings.joints)
-            self.executive = self.add(Executive(settings, skeleton, MemoryStore(), seed))
+            self.executive = self.add(
+                Executive(settings, arm(settings, skeleton), MemoryStore(), seed)
+            )
 
     @property
     def now_ns(self) -> int:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import msgspec
 
+METHODS = ("i", "ii", "iii", "iv")  # of relearning: the paper's three, and by wires
+
 
 class Message(msgspec.Struct, frozen=True, kw_only=True):
     """Anything that travels on the bus."""
@@ -212,7 +214,7 @@ class TrainingJob(Message, frozen=True, kw_only=True):
     base_version: int
     joints: tuple[str, ...]
     muscles: tuple[str, ...]  # of the schema that is wanted, in the order of the motions' columns
-    method: str = "iii"
+    method: str = "iv"
     seed: int = 0
     motions: tuple[Motion, ...] = ()
 
@@ -310,7 +312,7 @@ class Reset(Message, frozen=True, kw_only=True):
 class Relearn(Message, frozen=True, kw_only=True):
     """Collect motions again and relearn the schema."""
 
-    method: str = "iii"
+    method: str = "iv"
     n_new: int = 7
 
 

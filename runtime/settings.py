@@ -95,7 +95,7 @@ class Growth(_Table, frozen=True, kw_only=True):
 
     n_new: int = 7
     n_check: int = 2
-    method: str = "iii"
+    method: str = "iv"
     bias_min_n: float = 10.0
     bias_max_n: float = 25.0
     residual_limit_mm: float = 4.0  # on held-out motion; above it a candidate is refused

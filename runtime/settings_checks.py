@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from runtime.body_checks import body_mistakes
+from runtime.messages import METHODS
 from runtime.settings import Joint, Muscle, RobotSettings, Spare
 from runtime.settings_file import Mistake, suggestion
 from runtime.toml_lines import KeyPath
@@ -22,7 +23,6 @@ WATCHDOG_STEP_MS = round(1000 * BY_NAME["bus_watchdog"].scale)
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # safe as key segment, file name and word
 _RESERVED_TASKS = ("park", "hold", "cancel")  # `Task` requests these by name, too
-_METHODS = ("i", "ii", "iii")
 
 
 class _Range(NamedTuple):
@@ -226,10 +226,10 @@ def _orders(settings: RobotSettings) -> Iterator[Mistake]:
             f"[growth]: bias_min_n {growth.bias_min_n:g}, bias_max_n {growth.bias_max_n:g} and"
             f" the modules' tension_limit_n {limit:g} have to stand in this order",
         )
-    if growth.method not in _METHODS:
+    if growth.method not in METHODS:
         yield Mistake(
             ("growth", "method"),
-            f"[growth]: no method '{growth.method}'; use one of {', '.join(_METHODS)}",
+            f"[growth]: no method '{growth.method}'; use one of {', '.join(METHODS)}",
         )
     elastic = settings.simulation.elastic_n_m
     if min(elastic) < 0.0 or not 0.0 < sum(elastic) < math.inf:

@@ -89,7 +89,7 @@ class Schema:
         """Add the arguments."""
         parser.add_argument("action", choices=("list", "rollback", "relearn"))
         parser.add_argument("version", nargs="?", type=int, default=0, help="for rollback")
-        parser.add_argument("--method", default="iii", choices=("i", "ii", "iii"))
+        parser.add_argument("--method", default="iv", choices=m.METHODS)
         parser.add_argument("--n-new", type=int, default=7, help="motions to collect for relearn")
         add_robot_argument(parser)
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import daqp
 import numpy as np
 
+from services.body_schema.model import BodyModel
 from services.body_schema.network import Array
-from services.body_schema.schema import Schema
 
 TORQUE_WEIGHT = 1e8  # per (Nm)^2 against 1 per N^2: with 30 mm of moment arm, 1e-5 is given away
 CONVERGED_N = 0.01
@@ -36,7 +36,7 @@ class Plan:
 
 
 def plan(
-    schema: Schema,
+    schema: BodyModel,
     theta_ref: Array,
     torque_required_nm: Array,
     f_min: Array | float,

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from runtime.messages import Motion
+from services.body_schema.model import BodyModel
 from services.body_schema.network import Array
 from services.body_schema.schema import Schema
 
@@ -27,9 +28,9 @@ def taut_samples(
     Raises:
         TrainingError: a sample of another width; or see `taut`.
     """
-    theta = _stacked([motion.angle_rad for motion in motions], joints)
-    f = _stacked([motion.tension_n for motion in motions], muscles)
-    length = _stacked([motion.length_m for motion in motions], muscles)
+    theta = stacked([motion.angle_rad for motion in motions], joints)
+    f = stacked([motion.tension_n for motion in motions], muscles)
+    length = stacked([motion.length_m for motion in motions], muscles)
     return taut(theta, f, length)
 
 
@@ -51,7 +52,7 @@ def taut(theta: Array, f: Array, length: Array) -> tuple[Array, Array, Array]:
     return theta[kept], f[kept], length[kept]
 
 
-def residuals_m(schema: Schema, motions: Sequence[Motion]) -> Array:
+def residuals_m(schema: BodyModel, motions: Sequence[Motion]) -> Array:
     """Root mean square of l - mask 110 for each muscle (M,) [m], in taut samples.
 
     The motions' columns are schema.joints and schema.muscles.
@@ -78,7 +79,11 @@ def refit(
     theta, f, length = taut_samples(motions, len(schema.joints), len(schema.muscles))
     offset = (length - schema.lengths(theta, f)).mean(axis=0)
     offset *= [muscle in returning for muscle in schema.muscles]
-    moved = replace(schema, length_reference_m=schema.length_reference_m + offset)
+    moved = replace(
+        schema,
+        length_reference_m=schema.length_reference_m + offset,
+        wires=schema.wires and schema.wires.shifted(dict(zip(schema.muscles, offset, strict=True))),
+    )
     left = residuals_m(moved, motions)
     for muscle, residual in zip(schema.muscles, left, strict=True):
         if residual > limit_m:
@@ -104,7 +109,12 @@ def reordered(motion: Motion, given: Sequence[str], wanted: Sequence[str]) -> Mo
     )
 
 
-def _stacked(blocks: Sequence[tuple[tuple[float, ...], ...]], width: int) -> Array:
+def stacked(blocks: Sequence[tuple[tuple[float, ...], ...]], width: int) -> Array:
+    """All rows of all blocks, (T, width).
+
+    Raises:
+        TrainingError: a row of another width.
+    """
     rows = [row for block in blocks for row in block]
     if any(len(row) != width for row in rows):
         raise TrainingError(f"a sample of the motions does not have {width} values")

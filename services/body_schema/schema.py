@@ -4,6 +4,8 @@
     estimate(f, l)      mask 011: where are the joints?
     tensions(theta, l)  mask 101: how strongly is pulled?         (ill-posed: not for control)
 
+Beside the network a schema may carry the wires it was taught by (`wires.py`).
+
 A `Schema` never changes. It travels and is kept as one safetensors blob with all that a reader
 needs in its header; numpy alone serves it.
 """
@@ -12,7 +14,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -30,6 +32,7 @@ from services.body_schema.network import (
     Weights,
     columns,
 )
+from services.body_schema.wires import Wires
 
 KEY, FORMAT = "myograft", "body-schema-1"
 LAYERS = 6
@@ -59,6 +62,7 @@ class Schema:
     theta_range_rad: Array  # (N, 2): where it was learned
     tension_range_n: Array  # (M, 2): where it was learned
     meta: Mapping[str, str] = field(default_factory=dict)
+    wires: Wires | None = None  # of these muscles and perhaps of others
 
     def __post_init__(self) -> None:
         n, m = len(self.joints), len(self.muscles)
@@ -76,6 +80,10 @@ class Schema:
         """Muscle -> usual length residual [mm]."""
         sigmas = self.length_sigma_m * 1e3
         return {name: float(mm) for name, mm in zip(self.muscles, sigmas, strict=True)}
+
+    def with_wires(self, wires: Wires) -> Schema:
+        """The same network, and the wires beside it."""
+        return replace(self, wires=wires)
 
     # ── the three questions ──────────────────────────────────────────────────────────────────
 
@@ -156,6 +164,7 @@ class Schema:
             "joints": self.joints,
             "muscles": self.muscles,
             "meta": dict(self.meta),
+            "wires": self.wires and self.wires.to_table(),
         }
         # one entry: safetensors writes several in random order, and equal schemas are equal bytes
         return save(tensors, {KEY: json.dumps(header, sort_keys=True)})
@@ -181,7 +190,14 @@ class Schema:
         meta = header.get("meta")
         if not isinstance(meta, dict):
             raise SchemaError("the schema's meta is no table of words")
-        return cls(joints=joints, muscles=muscles, weights=weights, meta=meta, **arrays)
+        table = header.get("wires")
+        try:
+            wires = None if table is None else Wires.from_table(table)
+        except ValueError as error:
+            raise SchemaError(str(error)) from error
+        return cls(
+            joints=joints, muscles=muscles, weights=weights, meta=meta, wires=wires, **arrays
+        )
 
 
 def _ask(folded: Folded, a: Array, b: Array) -> Array:

@@ -2,6 +2,7 @@
 
     train_old  h_old from data
     relearn    h_new from h_old and a handful of motions, the paper's loss and its schedules
+    teach      h_new from h_old and a teacher who knows the lengths
     distil     h for fewer muscles from h's own replay
 
 Where the paper is silent, our reading: the norms are unsquared L2 norms of scaled quantities, one
@@ -20,7 +21,7 @@ import torch
 
 from runtime.messages import Motion
 from services.body_schema.growth import grow, shrink
-from services.body_schema.motions import TrainingError, taut, taut_samples
+from services.body_schema.motions import SLACK_N, TrainingError, taut, taut_samples
 from services.body_schema.network import (
     MASKS,
     Array,
@@ -47,6 +48,7 @@ class Recipe:
 OLD = Recipe(steps=20_000, batch=128, rate=4e-3)
 NEW = Recipe(steps=3000, batch=32, rate=2e-3, passes=25)
 LESS = Recipe(steps=2000, batch=64, rate=2e-3)
+TAUGHT = 8192  # random (theta, f) that a teacher is asked about
 REPLAYED = 8192  # random (theta, f) that h_old is asked about
 
 METHODS: dict[str, Callable[[float], float]] = {  # done part of the epochs -> w_loss
@@ -122,17 +124,10 @@ def relearn(
     theta, f, length = taut_samples(motions, len(old.joints), len(old.muscles) + bool(added))
     rng = np.random.default_rng(seed)
     replay = _scaled(old, *_replay(old, rng))
-    start = old
+    start = replace(old, wires=None)
     if added:
         replay = _with_zeros(replay, len(old.joints), len(old.muscles))
-        start = grow(
-            old,
-            added,
-            tension_scale_n=float(old.tension_scale_n.mean()),
-            length_scale_m=float(old.length_scale_m.mean()),
-            length_reference_m=float(length[:, -1].mean()),
-            tension_range_n=(float(f[:, -1].min()), float(f[:, -1].max())),
-        )
+        start = _grown(old, added, f, length)
     if not copy:
         config = NetworkConfig(len(old.joints), len(start.muscles))
         start = replace(start, weights=initial_weights(config, seed))
@@ -140,6 +135,38 @@ def relearn(
         start, _scaled(start, theta, f, length), (replay, METHODS[method]), recipe, seed, progress
     )
     return _with_residuals(replace(start, weights=weights), theta, f, length)
+
+
+def teach(
+    old: Schema,
+    motions: Sequence[Motion],
+    added: str,
+    teacher: Callable[[Array, Array], Array],
+    *,
+    seed: int = 0,
+    recipe: Recipe = NEW,
+    progress: Progress | None = None,
+) -> Schema:
+    """h_new as a pupil of somebody who knows l = teacher(theta, f), (B, N), (B, M) -> (B, M).
+
+    Weights are copied from h_old as in `relearn`; its usual residuals are those on the motions.
+    The pupil is asked at random (theta, f), more often at low tension, where elements are soft.
+
+    Raises:
+        TrainingError: see `taut_samples`.
+    """
+    theta, f, length = taut_samples(motions, len(old.joints), len(old.muscles) + bool(added))
+    start = _grown(old, added, f, length) if added else replace(old, wires=None)
+    rng = np.random.default_rng(seed)
+    low, high = old.theta_range_rad.T
+    strong = old.tension_range_n[:, 1].mean()
+    asked = rng.uniform(low, high, (TAUGHT, len(low)))
+    share = rng.uniform(size=(TAUGHT, len(start.muscles))) ** 2
+    tension = SLACK_N + share * (strong - SLACK_N)
+    lesson = _scaled(start, asked, tension, teacher(asked, tension))
+    weights = _train(start, lesson, None, recipe, seed, progress)
+    taught = _with_residuals(replace(start, weights=weights), theta, f, length)
+    return replace(taught, tension_range_n=np.tile((SLACK_N, strong), (len(start.muscles), 1)))
 
 
 def distil(
@@ -166,6 +193,21 @@ def distil(
     data = _scaled(start, theta, f[:, kept], length[:, kept])
     weights = _train(start, data, None, recipe, seed, progress)
     return replace(start, weights=weights)
+
+
+def _grown(old: Schema, added: str, f: Array, length: Array) -> Schema:
+    """h_old with room for the last column of f (T, M) [N] and length (T, M) [m]."""
+    return replace(
+        grow(
+            old,
+            added,
+            tension_scale_n=float(old.tension_scale_n.mean()),
+            length_scale_m=float(old.length_scale_m.mean()),
+            length_reference_m=float(length[:, -1].mean()),
+            tension_range_n=(float(f[:, -1].min()), float(f[:, -1].max())),
+        ),
+        wires=None,
+    )
 
 
 # ── data ──────────────────────────────────────────────────────────────────────────────────────

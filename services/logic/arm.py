@@ -24,9 +24,11 @@ from runtime.messages import (
 )
 from runtime.settings import RobotSettings
 from services.body_schema.control import Plan, plan
+from services.body_schema.model import BodyModel
 from services.body_schema.schema import Schema
 from services.logic.motion import Path, min_jerk
 from services.logic.skeleton import Skeleton
+from services.logic.wiring import served
 
 Array = NDArray[np.float64]
 
@@ -45,7 +47,7 @@ class Arm:
     def __init__(self, settings: RobotSettings, skeleton: Skeleton) -> None:
         self.settings = settings
         self.skeleton = skeleton
-        self.schema: Schema | None = None
+        self.schema: BodyModel | None = None
         self.path: Path | None = None
         self.plan: Plan | None = None
         self.excluded: set[str] = set()  # schema muscles that must not be relied on
@@ -115,8 +117,12 @@ class Arm:
 
     # ── moving ────────────────────────────────────────────────────────────────────────────────
 
-    def use(self, schema: Schema) -> None:
-        """Control by this schema from now on; commands cross-fade."""
+    def served(self, schema: Schema) -> BodyModel:
+        """What a schema has to control by: its wires, if they are all there, else its network."""
+        return served(schema, self.settings.body_file, self.settings.joints)
+
+    def use(self, schema: BodyModel) -> None:
+        """Control by this from now on; commands cross-fade."""
         self.schema = schema
         self.excluded &= set(schema.muscles)
         for name in schema.muscles:
@@ -179,15 +185,20 @@ class Arm:
         there = np.array([name in usable for name in self.schema.muscles])
         ceiling = np.where(there, self.settings.control.tension_ceiling_n, 0.0)
         self._feel_guests(felt, dt_s)
-        self.plan = plan(
+        self.plan = self.planned(theta, np.minimum(floor, ceiling), ceiling)
+        self._aim(felt, dt_s)
+
+    def planned(self, theta: Array, floor_n: Array, ceiling_n: Array) -> Plan:
+        """Tensions and lengths for a posture (N,) between floor and ceiling, both (M,)."""
+        assert self.schema is not None
+        return plan(
             self.schema,
             theta,
             self.skeleton.gravity_torque_nm(theta) - self._guest_torque_nm,
-            np.minimum(floor, ceiling),
-            ceiling,
+            floor_n,
+            ceiling_n,
             None if self.plan is None else self.plan.tension_n,
         )
-        self._aim(felt, dt_s)
 
     def _feel_guests(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
         """What guests do to the joints [Nm], from what is left of the balance of torques.

@@ -236,6 +236,6 @@ class Body:
             self._tell("error", "schema_bad", f"schema version {message.version}: {error}")
             return
         self.schema_version = message.version
-        self._arm.use(schema)
+        self._arm.use(self._arm.served(schema))
         text = f"schema version {message.version} ({message.method}) controls the arm now"
         self._tell("info", "adopted", text, version=str(message.version))

@@ -19,11 +19,11 @@ from runtime.settings import RobotSettings
 from services.logic.arm import AUTHOR, Arm
 from services.logic.body import Body
 from services.logic.memory import Notebook
-from services.logic.skeleton import Skeleton
 
 MEASURE_S = 0.2  # the arm is called settled for this long at each target
 STATE_EVERY = 2  # ticks
 MAX_STEP_S = 0.02  # of movement in one tick, however long it was
+RELEARN = f"method is one of {', '.join(m.METHODS)}, and n_new from 1 to 100"
 GROWING = Reply(ok=False, text="the body is growing; wait, or 'myograft task cancel'")
 
 
@@ -41,11 +41,9 @@ class Executive:
     requests: tuple[type[Message], ...] = (m.Task, m.Reach, m.Relearn)
     period_ns = 10_000_000
 
-    def __init__(
-        self, settings: RobotSettings, skeleton: Skeleton, store: Store, seed: int = 0
-    ) -> None:
+    def __init__(self, settings: RobotSettings, arm: Arm, store: Store, seed: int = 0) -> None:
         self.settings = settings
-        self.arm = Arm(settings, skeleton)
+        self.arm = arm
         self._tasks = {
             task.name: np.radians(np.array(task.targets_deg)) for task in settings.task
         } | {"park": np.radians(np.array([[joint.rest_deg for joint in settings.joint]]))}
@@ -191,8 +189,8 @@ class Executive:
             return GROWING
         if self.arm.schema is None or self._was_silent:
             return Reply(ok=False, text="the arm cannot move now")
-        if request.method not in ("i", "ii", "iii") or not 1 <= request.n_new <= 100:
-            return Reply(ok=False, text="method is i, ii or iii, and n_new from 1 to 100")
+        if request.method not in m.METHODS or not 1 <= request.n_new <= 100:
+            return Reply(ok=False, text=RELEARN)
         self.body.relearn(request.method, request.n_new)
         return Reply(ok=True, text=f"relearning from {request.n_new} motions")
 

@@ -6,7 +6,7 @@ motion: a new executive goes on from there. Every way it can fail ends in holdin
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import msgspec
 import numpy as np
@@ -22,6 +22,7 @@ from runtime.messages import (
     TrainingJob,
     TrainingProgress,
 )
+from services.body_schema.model import BodyModel
 from services.body_schema.motions import TrainingError, residuals_m
 from services.body_schema.schema import Schema, SchemaError
 from services.logic.arm import GUEST_BIAS_N, Arm, MotionRecorder
@@ -211,7 +212,7 @@ class Growth:
 
     def _check(self, now_ns: int, candidate: SchemaCandidate) -> Iterator[Message]:
         record = self.record
-        residual_m = held_out_residual_m(candidate.data, record.motions[record.n_new :])
+        residual_m = self._residual_m(candidate)
         mm = {name: round(value * 1e3, 3) for name, value in residual_m.items()}
         bad = [name for name, value in residual_m.items() if not value <= self._limit_m]
         words = ", ".join(f"{name} {value:.2f} mm" for name, value in mm.items())
@@ -251,16 +252,24 @@ class Growth:
 
     def _residuals_mm(self) -> dict[str, float]:
         assert self._candidate is not None
-        held_out = self.record.motions[self.record.n_new :]
-        residual_m = held_out_residual_m(self._candidate.data, held_out)
+        residual_m = self._residual_m(self._candidate)
         return {name: round(value * 1e3, 3) for name, value in residual_m.items()}
 
+    def _residual_m(self, candidate: SchemaCandidate) -> dict[str, float]:
+        held_out = self.record.motions[self.record.n_new :]
+        return held_out_residual_m(candidate.data, held_out, self._arm.served)
 
-def held_out_residual_m(data: bytes, motions: list[Motion]) -> dict[str, float]:
-    """Root mean square of measured minus predicted length [m] by muscle; inf for a bad schema."""
+
+def held_out_residual_m(
+    data: bytes, motions: list[Motion], served: Callable[[Schema], BodyModel]
+) -> dict[str, float]:
+    """Root mean square of measured minus predicted length [m] by muscle; inf for a bad schema.
+
+    Of the network and of what controls in its place, the worse.
+    """
     try:
         schema = Schema.from_bytes(data)
-        rms = residuals_m(schema, motions)
+        rms = np.maximum(residuals_m(schema, motions), residuals_m(served(schema), motions))
     except (SchemaError, TrainingError):
         return {"schema": float("inf")}
     return dict(zip(schema.muscles, rms.tolist(), strict=True))

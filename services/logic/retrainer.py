@@ -28,8 +28,9 @@ from runtime.messages import (
 )
 from runtime.settings import RobotSettings
 from services.body_schema.growth import permuted
-from services.body_schema.motions import TrainingError, refit, reordered
+from services.body_schema.motions import TrainingError
 from services.body_schema.schema import Schema, SchemaError
+from services.logic.relearning import grown, refitted, shrunk
 from services.logic.versions import CANDIDATE, REFUSED, USABLE, Version, Versions
 
 PROGRESS_MESSAGES = 100  # at most, for one job
@@ -77,7 +78,7 @@ class Retrainer:
         warm_up: Callable[[], None] = lambda: None,
         wall_s: Callable[[], float] = lambda: 0.0,
     ) -> None:
-        self._limit_m = settings.growth.residual_limit_mm * 1e-3
+        self._settings = settings
         self._versions = Versions(store, shipped)
         self._start_job = start_job
         self._warm_up: Callable[[], None] | None = warm_up
@@ -164,16 +165,17 @@ class Retrainer:
         if set(job.joints) != set(base.joints):
             raise TrainingError(f"the schema's joints are {', '.join(base.joints)}")
         if job.kind == "shrink":
-            return job.base_version, lambda run: _shrunk(base, run)
+            return job.base_version, lambda run: shrunk(base, job, run.epoch_done)
         if job.kind == "grow":
-            return job.base_version, lambda run: _grown(base, run)
+            return job.base_version, lambda run: grown(base, job, self._settings, run.epoch_done)
         if job.kind == "refit":
             last = self._versions.last_with(set(job.muscles))
             if last is None:
                 raise TrainingError(f"no schema of {', '.join(job.muscles)} is stored")
             former = Schema.from_bytes(last.data)
             returning = tuple(set(job.muscles) - set(base.muscles))
-            return last.number, lambda run: _refitted(former, run, returning, self._limit_m)
+            limit_m = self._settings.growth.residual_limit_mm * 1e-3
+            return last.number, lambda _: refitted(former, job, returning, limit_m)
         raise TrainingError(f"a job of kind '{job.kind}' is neither grow, shrink nor refit")
 
     def _finish(self, run: _Run, running: Running) -> None:
@@ -301,38 +303,3 @@ class _Run:
 
 def _event(level: str, kind: str, text: str, **data: str) -> Event:
     return Event(process="retrainer", level=level, kind=kind, text=text, data=data)
-
-
-def _grown(base: Schema, run: _Run) -> Schema:
-    from services.body_schema import train  # torch comes in with the first job
-
-    job = run.job
-    added = [muscle for muscle in job.muscles if muscle not in base.muscles]
-    if len(added) > 1 or not set(base.muscles) <= set(job.muscles):
-        raise TrainingError(
-            f"from {', '.join(base.muscles)} to {', '.join(job.muscles)} is not one muscle more"
-        )
-    motions = [reordered(motion, job.muscles, (*base.muscles, *added)) for motion in job.motions]
-    return train.relearn(
-        base,
-        motions,
-        added[0] if added else "",
-        job.method,
-        seed=job.seed,
-        progress=run.epoch_done,
-    )
-
-
-def _shrunk(base: Schema, run: _Run) -> Schema:
-    from services.body_schema import train
-
-    job = run.job
-    if not set(job.muscles) < set(base.muscles):
-        raise TrainingError(f"{', '.join(job.muscles)} are not fewer than {base.muscles}")
-    return train.distil(base, job.muscles, seed=job.seed, progress=run.epoch_done)
-
-
-def _refitted(former: Schema, run: _Run, returning: tuple[str, ...], limit_m: float) -> Schema:
-    job = run.job
-    motions = [reordered(motion, job.muscles, former.muscles) for motion in job.motions]
-    return refit(former, motions, returning, limit_m)

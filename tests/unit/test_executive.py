@@ -13,6 +13,7 @@ from runtime import messages as m
 from runtime.logic import MemoryStore
 from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings, TaskPath, load_robot
+from services.logic.arm import Arm
 from services.logic.body import MAX_RESTARTS
 from services.logic.executive import Executive
 from services.logic.growth import GrowthRecord
@@ -31,7 +32,7 @@ SKELETON = Skeleton(SETTINGS.body_file, SETTINGS.joints)
 
 
 def new_executive(store: MemoryStore) -> Executive:
-    return Executive(SETTINGS, SKELETON, store)
+    return Executive(SETTINGS, Arm(SETTINGS, SKELETON), store)
 
 
 class Robot:
@@ -129,8 +130,8 @@ def test_reach_goes_there_and_holds(robot: Robot) -> None:
         (m.Reach(angle_rad={"knee": 0.1}), "no joint 'knee'; there are: elbow"),
         (m.Reach(angle_rad={"elbow": 2.5}), "joint 'elbow' reaches -5 .. 130 deg"),
         (m.Reach(angle_rad={"elbow": float("nan")}), "joint 'elbow' reaches -5 .. 130 deg"),
-        (m.Relearn(method="iv"), "method is i, ii or iii, and n_new from 1 to 100"),
-        (m.Relearn(n_new=0), "method is i, ii or iii, and n_new from 1 to 100"),
+        (m.Relearn(method="v"), "method is one of i, ii, iii, iv, and n_new"),
+        (m.Relearn(n_new=0), "method is one of i, ii, iii, iv, and n_new"),
         (m.Plug(muscle="biceps_1"), "the executive does not know Plug"),
     ],
 )

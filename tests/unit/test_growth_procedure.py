@@ -20,6 +20,7 @@ from runtime.messages import (
     TrainingProgress,
 )
 from services.body_schema.growth import grow
+from services.body_schema.model import BodyModel
 from services.body_schema.schema import Schema
 from services.logic.arm import GUEST_BIAS_N, Arm
 from services.logic.growth import (
@@ -417,19 +418,23 @@ def test_an_adoption_heard_before_the_arm_is_felt_costs_nothing() -> None:
 # ── held-out residuals and targets ────────────────────────────────────────────────────────────
 
 
+def itself(schema: Schema) -> BodyModel:
+    return schema
+
+
 def test_residuals_are_root_mean_squares_by_muscle() -> None:
     run = Procedure()
     run.until(lambda: len(run.growth.record.motions) == 1)
     motions = run.growth.record.motions[:1]
     data = grown(run.bench.schema, GUEST_M - 0.002).to_bytes()
-    residual = held_out_residual_m(data, motions)
+    residual = held_out_residual_m(data, motions, itself)
     assert residual["biceps_3"] == pytest.approx(0.002, abs=1e-9)
     assert residual["triceps"] == pytest.approx(0.0, abs=1e-9)
-    assert held_out_residual_m(b"", motions) == {"schema": float("inf")}
-    assert held_out_residual_m(data, []) == {"schema": float("inf")}
+    assert held_out_residual_m(b"", motions, itself) == {"schema": float("inf")}
+    assert held_out_residual_m(data, [], itself) == {"schema": float("inf")}
     three = tuple(row[:3] for row in motions[0].tension_n)
     narrow = msgspec.structs.replace(motions[0], tension_n=three)
-    assert held_out_residual_m(data, [narrow]) == {"schema": float("inf")}
+    assert held_out_residual_m(data, [narrow], itself) == {"schema": float("inf")}
 
 
 RANGE_RAD = np.array([[-0.1, 2.3], [0.0, 1.0]])

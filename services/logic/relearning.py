@@ -1,0 +1,129 @@
+"""What the retrainer does for each kind of job: from a schema and motions to another schema.
+
+grow    by the paper's methods i, ii, iii, or by iv: wires are fitted on the skeleton, and the
+network is taught by them
+shrink  distilled without the muscle that went
+refit   the last schema of a muscle that came back, its length offset estimated anew
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from runtime.messages import Motion, MusclePath, TrainingJob
+from runtime.settings import RobotSettings
+from services.body_schema.fit_wires import fit_wires
+from services.body_schema.motions import TrainingError, refit, reordered, stacked
+from services.body_schema.schema import Schema
+from services.body_schema.wires import WireModel
+from services.logic.wiring import Wiring, nominal_paths
+
+EpochDone = Callable[[int, int, float, float, float], None]
+BY_WIRES = "iv"
+
+
+def grown(base: Schema, job: TrainingJob, settings: RobotSettings, epoch_done: EpochDone) -> Schema:
+    """One muscle more, or the same ones learned again.
+
+    Raises:
+        TrainingError: the job is not that, or its motions or paths do not do.
+    """
+    from services.body_schema import train  # torch comes in with the first job
+
+    added = [muscle for muscle in job.muscles if muscle not in base.muscles]
+    if len(added) > 1 or not set(base.muscles) <= set(job.muscles):
+        raise TrainingError(
+            f"from {', '.join(base.muscles)} to {', '.join(job.muscles)} is not one muscle more"
+        )
+    muscles = (*base.muscles, *added)
+    motions = [reordered(motion, job.muscles, muscles) for motion in job.motions]
+    newcomer = added[0] if added else ""
+    if job.method == BY_WIRES:
+        return by_wires(base, motions, newcomer, settings, seed=job.seed, progress=epoch_done)
+    return train.relearn(base, motions, newcomer, job.method, seed=job.seed, progress=epoch_done)
+
+
+def by_wires(
+    base: Schema,
+    motions: Sequence[Motion],
+    added: str,
+    settings: RobotSettings,
+    *,
+    seed: int = 0,
+    progress: EpochDone | None = None,
+) -> Schema:
+    """Method iv: wires fitted to the motions, and the network that they taught, in one schema.
+
+    The motions' columns are (*base.muscles, added).
+
+    Raises:
+        TrainingError: the motions do not do, or nobody knows how a muscle's wire nominally runs.
+    """
+    from services.body_schema import train
+
+    muscles = (*base.muscles, *([added] if added else []))
+    model = fitted(base, motions, muscles, settings, seed)
+    taught = train.teach(base, motions, added, model.lengths, seed=seed, progress=progress)
+    return taught.with_wires(model.wires)
+
+
+def fitted(
+    base: Schema,
+    motions: Sequence[Motion],
+    muscles: tuple[str, ...],
+    settings: RobotSettings,
+    seed: int = 0,
+) -> WireModel:
+    """Wires of `muscles`, the motions' columns, about where they nominally run.
+
+    Raises:
+        TrainingError: see `by_wires`.
+    """
+    paths = known_paths(base, settings)
+    for muscle in muscles:
+        if muscle not in paths:
+            raise TrainingError(
+                f"nobody knows how the wire of {muscle} nominally runs; "
+                "give it a [[spare]] with a path in the robot file, or relearn by method iii"
+            )
+    geometry = Wiring(settings.body_file, settings.joints, {n: paths[n] for n in muscles})
+    theta = stacked([motion.angle_rad for motion in motions], len(base.joints))
+    f = stacked([motion.tension_n for motion in motions], len(muscles))
+    length = stacked([motion.length_m for motion in motions], len(muscles))
+    wires = fit_wires(geometry, theta, f, length, base, seed=seed)
+    return WireModel(wires, geometry, base.joints)
+
+
+def known_paths(base: Schema, settings: RobotSettings) -> dict[str, MusclePath]:
+    """Muscle -> path: as drawn in the body's file and the robot file, or as found before."""
+    return {
+        **nominal_paths(Path(settings.body_file)),
+        **{spare.name: spare.path for spare in settings.spare},
+        **(base.wires.moved_paths() if base.wires else {}),
+    }
+
+
+def shrunk(base: Schema, job: TrainingJob, epoch_done: EpochDone) -> Schema:
+    """The schema of the muscles that remain.
+
+    Raises:
+        TrainingError: the job's muscles are not fewer.
+    """
+    from services.body_schema import train
+
+    if not set(job.muscles) < set(base.muscles):
+        raise TrainingError(f"{', '.join(job.muscles)} are not fewer than {base.muscles}")
+    return train.distil(base, job.muscles, seed=job.seed, progress=epoch_done)
+
+
+def refitted(
+    former: Schema, job: TrainingJob, returning: tuple[str, ...], limit_m: float
+) -> Schema:
+    """The schema that knew the muscles which came back.
+
+    Raises:
+        TrainingError: a muscle is not where it was.
+    """
+    motions = [reordered(motion, job.muscles, former.muscles) for motion in job.motions]
+    return refit(former, motions, returning, limit_m)
