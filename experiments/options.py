@@ -66,7 +66,7 @@ def configure(parser: argparse.ArgumentParser, choices: Choices) -> None:
             *_listed("variants:", choices.variants),
             "",
             "Every finished piece is kept at once: stop with Ctrl-C, and the same command goes on.",
-            "More --seeds, --n-new or --variants later add to what is kept; other settings need",
+            "More --seeds, --n-new or --variants later add to what is kept; other --methods need",
             "another --out.",
         ]
     )

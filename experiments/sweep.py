@@ -11,7 +11,10 @@ running scheduler. joblib has others; `ray.util.joblib.register_ray()` adds one 
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
+import os
+import threading
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -118,11 +121,14 @@ def _lines(
         if backend == "dask":
             client = stack.enter_context(_dask(address))
             stack.enter_context(parallel_config("dask", client=client))
-            jobs = -1  # as many as the cluster has
+            jobs, watch = -1, 0  # as many as the cluster has; it looks after itself
         else:
             stack.enter_context(parallel_config("loky", inner_max_num_threads=1))
-        parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-        lines = parallel(delayed(_attempt)(work, unit) for unit in units)
+            watch = os.getpid()
+        parallel = Parallel(
+            n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs"
+        )
+        lines = parallel(delayed(_attempt)(work, unit, watch) for unit in units)
         try:
             yield from lines
         except TerminatedWorkerError as error:
@@ -146,8 +152,22 @@ def _dask(address: str) -> Iterator[object]:
         yield client
 
 
-def _attempt(work: Work, unit: Unit) -> str:
+@functools.cache
+def _end_with(parent: int) -> None:
+    """Let this worker not outlive the sweep: else it would go on computing for nobody."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _attempt(work: Work, unit: Unit, parent: int = 0) -> str:
     """Do the work; the line to keep, of a failure too. Runs in the worker."""
+    if parent:
+        _end_with(parent)
     start = time.perf_counter()
     line: dict[str, object] = {"key": unit.key, "unit": asdict(unit)}
     try:
