@@ -18,7 +18,7 @@ $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt torch
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt \
-		--editable ".[sim,learn,view,dev]"
+		--editable ".[sim,learn,view,cluster,dev]"
 	touch $@
 
 demo: setup  ## the whole story in one go: three muscles, a fourth is plugged in, the arm relearns

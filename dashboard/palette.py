@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+from typing import Any
 
 Rgb = tuple[int, int, int]
 
@@ -31,6 +32,21 @@ MEASURED: Rgb = (86, 180, 233)
 ESTIMATED: Rgb = (230, 159, 0)
 CONFIDENCE: Rgb = (140, 105, 40)
 LIMIT: Rgb = (220, 60, 50)
+
+# Pictures on light ground, for pages: Okabe and Ito's darker colours first.
+INK, FAINT = "#33373d", "#9aa0a8"
+ON_PAPER = ("#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#8c8c8c", "#44AA99", "#AA4499", "#332288")
+STRONGEST = "#D55E00"  # what a picture is about
+PAPER_STYLE: dict[Any, object] = {  # matplotlib's settings
+    "font.size": 10.0,
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+}
 
 _GREY, _BLUE, _GREEN = (120, 120, 120), (70, 130, 200), (40, 150, 95)
 _AMBER, _RED = (215, 150, 20), (205, 55, 45)

@@ -7,35 +7,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from dashboard.palette import FAINT, INK, ON_PAPER, PAPER_STYLE, STRONGEST
 
 if TYPE_CHECKING:  # half a second of import that only whoever draws shall pay
     from matplotlib.axes import Axes
 
 Row = Sequence[str]
 
-_INK, _FAINT = "#33373d", "#9aa0a8"
-# Okabe and Ito's; the last muscle is the added one, and takes the strongest.
-_MUSCLES = ("#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#8c8c8c", "#44AA99", "#AA4499", "#332288")
-_ADDED = "#D55E00"
 _ANGLES = {
-    "reference": {"color": _FAINT, "lw": 1.4, "drawstyle": "steps-post"},
+    "reference": {"color": FAINT, "lw": 1.4, "drawstyle": "steps-post"},
     "measured": {"color": "#56B4E9", "lw": 2.4},
     "estimated": {"color": "#E69F00", "lw": 1.2},
     "true": {"color": "#004a7c", "lw": 1.0, "ls": "--"},
-}
-_STYLE: dict[Any, object] = {
-    "font.size": 10.0,
-    "axes.edgecolor": _FAINT,
-    "axes.labelcolor": _INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "text.color": _INK,
 }
 
 
@@ -70,7 +58,7 @@ def draw_summary(
     tensions = {name: np.asarray(values, dtype=float) for name, values in tension_n.items()}
     if added is None:
         added = [name for name, values in tensions.items() if np.isnan(values[:1]).any()]
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(PAPER_STYLE):
         figure = Figure(figsize=(10.0, 5.6), dpi=144, facecolor="white")
         FigureCanvasAgg(figure)
         top, bottom = figure.subplots(
@@ -83,10 +71,10 @@ def draw_summary(
                 top.plot(time, np.asarray(angle_deg[name], dtype=float), label=name, **style)
         others = [name for name in tensions if name not in added]
         for i, name in enumerate(others):
-            color = _MUSCLES[i % len(_MUSCLES)]
+            color = ON_PAPER[i % len(ON_PAPER)]
             bottom.plot(time, tensions[name], color=color, lw=1.1, label=name)
         for name in added:
-            bottom.plot(time, tensions[name], color=_ADDED, lw=2.0, label=f"{name} (added)")
+            bottom.plot(time, tensions[name], color=STRONGEST, lw=2.0, label=f"{name} (added)")
         top.set_ylabel("joint angle (deg)")
         bottom.set_ylabel("wire tension (N)")
         bottom.set_ylim(bottom=0.0)
@@ -119,7 +107,7 @@ def _mark(top: Axes, bottom: Axes, marks: Sequence[tuple[float, str]]) -> None:
     free_from = [start, start]  # on each of the two levels
     for time, name in marks:
         for axes in (top, bottom):
-            axes.axvline(time, color=_INK, lw=0.8, ls=(0, (2, 2)), alpha=0.7)
+            axes.axvline(time, color=INK, lw=0.8, ls=(0, (2, 2)), alpha=0.7)
         width = (0.8 + len(name)) * 0.0115 * (end - start)
         left = time - width / 2.0
         level = 0 if left >= free_from[0] else 1
@@ -153,13 +141,13 @@ def _write_table(beside: Axes, rows: Sequence[Row]) -> None:
                 ha="left" if j == 0 else "right",
                 va="center",
                 fontsize=9,
-                color=_FAINT if i == 0 else _INK,
+                color=FAINT if i == 0 else INK,
             )
     beside.plot(
         [left, right],
         [head - 0.5 * step] * 2,
         transform=beside.transAxes,
-        color=_FAINT,
+        color=FAINT,
         lw=0.8,
         clip_on=False,
     )

@@ -6,6 +6,9 @@ import argparse
 import importlib
 import sys
 
+from experiments.store import SweepError
+from runtime.cli.main import UsageError
+
 EXPERIMENTS = {
     "learn": "a robot's first body schema, from motion under disturbed loads",
     "grow": "the demo's sequence in the rig, for one or many seeds",
@@ -21,7 +24,17 @@ def main() -> int:
         module.configure(commands.add_parser(name, help=text, description=module.__doc__))
     args = parser.parse_args()
     module = importlib.import_module(f"experiments.{args.experiment}")
-    return int(module.run(args))
+    try:
+        return int(module.run(args))
+    except UsageError as error:
+        print(f"python -m experiments {args.experiment}: {error}", file=sys.stderr)
+        return 2
+    except SweepError as error:
+        print(f"python -m experiments {args.experiment}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt as stop:
+        print(f"\n{str(stop) or 'interrupted'}", file=sys.stderr)
+        return 130
 
 
 if __name__ == "__main__":

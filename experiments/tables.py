@@ -1,0 +1,205 @@
+"""What an experiment found, in words: tables, and which method is the lower one for each N_new."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Any, NamedTuple
+
+from experiments.statistics import (
+    BASELINES,
+    Cell,
+    Difference,
+    Run,
+    Spread,
+    by_seed,
+    paired_difference,
+    spread,
+)
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One figure of the runs, and what the paper says of it.
+
+    Attributes:
+        figure: its name in a run: `e_theta_rad`.
+        name, unit, digits: how it is written: `E_theta`, `rad`, 4.
+        paper: (method, N_new) -> the paper's number; N_new 0 of a baseline.
+        claims: N_new -> the paper's ordering, as it writes it: `(iii) = (ii) < (i)`.
+    """
+
+    figure: str
+    name: str
+    unit: str
+    digits: int
+    paper: Mapping[tuple[str, int], float] = field(default_factory=dict)
+    claims: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """Name and unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+class Ordering(NamedTuple):
+    """Two methods for one N_new; `a` is the one with the lower mean, whatever the verdict."""
+
+    variant: str
+    control: str
+    n_new: int
+    a: str
+    b: str
+    difference: Difference
+    claim: str  # what the paper says of the two; empty if it does not
+
+
+def text_table(measure: Measure, runs: Sequence[Run]) -> str:
+    """For the terminal: columns are aligned."""
+    rows = _rows(measure, runs)
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for first, *cells in rows:
+        rest = "   ".join(cell.rjust(w) for cell, w in zip(cells, widths[1:], strict=True))
+        lines.append(f"{first.ljust(widths[0])}   {rest}".rstrip())
+    return "\n".join(lines)
+
+
+def markdown_table(measure: Measure, runs: Sequence[Run]) -> str:
+    """For the documents."""
+    head, *rows = _rows(measure, runs)
+    rule = ["---", *["---:" for _ in head[1:]]]
+    return "\n".join(f"| {' | '.join(row)} |" for row in [head, rule, *rows])
+
+
+def orderings(measure: Measure, runs: Iterable[Run]) -> Iterator[Ordering]:
+    """Every two methods of each variant, control and N_new, over the seeds that both have."""
+    groups: dict[tuple[int, str, str], dict[str, dict[int, float]]] = {}
+    for cell, values in by_seed(runs, measure.figure).items():
+        if cell.method not in BASELINES:
+            groups.setdefault((cell.n_new, cell.variant, cell.control), {})[cell.method] = values
+    for (n_new, variant, control), methods in sorted(groups.items(), key=lambda item: item[0][0]):
+        for a, b in combinations(methods, 2):
+            difference = paired_difference(methods[a], methods[b])
+            if difference.seeds == 0:
+                continue
+            if difference.mean > 0.0:
+                a, b = b, a
+                difference = paired_difference(methods[a], methods[b])
+            claim = _claim(measure.claims.get(n_new, ""), a, b)
+            yield Ordering(variant, control, n_new, a, b, difference, claim)
+
+
+def ordering_lines(measure: Measure, runs: Sequence[Run]) -> list[str]:
+    """The orderings, a line each; variant and control are told where there are several."""
+    several = _several(runs)
+    lines = []
+    for order in orderings(measure, runs):
+        where = [measure.name, f"N={order.n_new}"]
+        where += [
+            word for word, tell in zip((order.variant, order.control), several, strict=True) if tell
+        ]
+        ordered = order.difference.verdict == "a < b"
+        verdict = f"{order.a} < {order.b}" if ordered else f"{order.a}, {order.b}: no ordering"
+        paper = f"; the paper: {order.claim}" if order.claim else ""
+        lines.append(f"{', '.join(where)}: {verdict}: {_interval(order, measure)}{paper}")
+    return lines
+
+
+def document(
+    measures: Sequence[Measure],
+    runs: Sequence[Run],
+    failed: Mapping[str, str],
+    fingerprint: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Everything, for `--json`: settings, means, orderings, every single run.
+
+    What is not a number (the spread of one seed, its interval) is null.
+    """
+    told = [
+        {"figure": measure.figure, **cell._asdict(), **_finite(spread(seeds.values()))}
+        for measure in measures
+        for cell, seeds in by_seed(runs, measure.figure).items()
+    ]
+    ordered = [
+        {
+            "figure": measure.figure,
+            **order._asdict(),
+            "difference": _finite(order.difference),
+            "verdict": order.difference.verdict,
+        }
+        for measure in measures
+        for order in orderings(measure, runs)
+    ]
+    return {
+        "fingerprint": dict(fingerprint),
+        "means": told,
+        "orderings": ordered,
+        "failed": dict(failed),
+        "runs": list(runs),
+    }
+
+
+def _rows(measure: Measure, runs: Sequence[Run]) -> list[list[str]]:
+    cells = {cell: spread(seeds.values()) for cell, seeds in by_seed(runs, measure.figure).items()}
+    columns = sorted({cell.n_new for cell in cells} | {n_new for _, n_new in measure.paper})
+    full = max((told.seeds for told in cells.values()), default=0)
+    rows = [[measure.title, *("any N" if n == 0 else f"N={n}" for n in columns)]]
+    lines = dict.fromkeys(cell._replace(n_new=0) for cell in cells)
+    variants = list(dict.fromkeys(line.variant for line in lines))
+    place = {"before": 0, "oracle": 2}  # the methods between: from worst to best, one hopes
+    for line in sorted(lines, key=lambda x: (variants.index(x.variant), place.get(x.method, 1))):
+        told = [cells.get(line._replace(n_new=n_new)) for n_new in columns]
+        label = _label(line, _several(runs))
+        rows.append([label, *(_cell(one, measure.digits, full) if one else "" for one in told)])
+    for method in dict.fromkeys(method for method, _ in measure.paper):
+        numbers = [measure.paper.get((method, n_new)) for n_new in columns]
+        rows.append(
+            [f"paper: {method}", *("" if x is None else f"{x:.{measure.digits}f}" for x in numbers)]
+        )
+    return rows
+
+
+def _several(runs: Iterable[Run]) -> tuple[bool, bool]:
+    """Whether there are several variants, and several controls."""
+    rows = list(runs)
+    return len({run["variant"] for run in rows}) > 1, len({run["control"] for run in rows}) > 1
+
+
+def _label(line: Cell, several: tuple[bool, bool]) -> str:
+    named = zip((line.variant, line.control), several, strict=True)
+    return ", ".join([line.method, *(word for word, tell in named if tell and word)])
+
+
+def _cell(told: Spread, digits: int, full: int) -> str:
+    sd = "" if math.isnan(told.sd) else f" ± {told.sd:.{digits}f}"
+    return f"{told.mean:.{digits}f}{sd}" + (f" ({told.seeds} seeds)" if told.seeds < full else "")
+
+
+def _interval(order: Ordering, measure: Measure) -> str:
+    mean, low, high, seeds = order.difference
+    unit = f" {measure.unit}" if measure.unit else ""
+    if seeds < 2:
+        return f"{mean:+.{measure.digits}f}{unit}, one seed only"
+    digits = measure.digits
+    return f"{mean:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]{unit}, {seeds} seeds"
+
+
+def _claim(chain: str, a: str, b: str) -> str:
+    """What `(iii) = (ii) < (i)` says of two methods; empty if it does not name both."""
+    rank = {
+        name.strip(): place
+        for place, names in enumerate(chain.split("<"))
+        for name in names.split("=")
+    }
+    if a not in rank or b not in rank:
+        return ""
+    if rank[a] == rank[b]:
+        return f"{a} = {b}"
+    return f"{a} < {b}" if rank[a] < rank[b] else f"{b} < {a}"
+
+
+def _finite(told: Spread | Difference) -> dict[str, float | None]:
+    return {name: x if math.isfinite(x) else None for name, x in told._asdict().items()}
