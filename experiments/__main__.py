@@ -11,6 +11,7 @@ from runtime.cli.main import UsageError
 
 EXPERIMENTS = {
     "learn": "a robot's first body schema, from motion under disturbed loads",
+    "elbow": "the paper's first experiment: one joint, a fourth muscle is added",
     "grow": "the demo's sequence in the rig, for one or many seeds",
 }
 

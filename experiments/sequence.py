@@ -102,7 +102,7 @@ def run_sequence(session: Session, trace: Trace, narrate: Narrate, spare: str = 
     spare = spare or settings.spare[0].name
     session.watchers.append(trace.see)
     session.wait(_in_stage("hold"), 60.0, "the arm holding")
-    before = _sweep(session, narrate, "sweep before")
+    before = score_sweep(session, narrate, "sweep before")
 
     middle = {joint.name: float(np.radians(HOLD_DEG)) for joint in settings.joint}
     session.ask(m.Reach(angle_rad=middle))
@@ -123,7 +123,7 @@ def run_sequence(session: Session, trace: Trace, narrate: Narrate, spare: str = 
         raise SessionError(done.text)
     plugged_s = next(t for t, label in trace.marks if label == "plug")
 
-    after = _sweep(session, narrate, "sweep after")
+    after = score_sweep(session, narrate, "sweep after")
     narrate("park", 0, 1)
     session.ask(m.Task(name="park"))
     session.wait(_event("task_done"), 30.0, "the arm parking")
@@ -141,7 +141,12 @@ def run_sequence(session: Session, trace: Trace, narrate: Narrate, spare: str = 
     )
 
 
-def _sweep(session: Session, narrate: Narrate, title: str) -> Score:
+def score_sweep(session: Session, narrate: Narrate, title: str) -> Score:
+    """Run the task `sweep` and score it.
+
+    Raises:
+        SessionError: it was refused, or did not end.
+    """
     scorer = SweepScorer(session.settings, "sweep")
     steps = [0]
 

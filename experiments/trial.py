@@ -9,12 +9,15 @@ import copy
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
+
 from experiments.rig import Rig
 from experiments.session import RigSession
 from runtime import messages as m
 from runtime.logic import MemoryStore
 from runtime.messages import Motion
 from runtime.settings import RobotSettings
+from services.body_schema.model import BodyModel
 from services.logic.arm import Arm
 
 COLLECT_LIMIT_S = 600.0
@@ -35,16 +38,17 @@ class Collected:
 def start(
     settings: RobotSettings,
     seed: int,
-    model: Any,
+    model: BodyModel,
     collected: Collected | None = None,
     arm: type[Arm] = Arm,
 ) -> Rig:
-    """A robot that holds, controlled by a schema or wire model; with `collected`, as it stood."""
+    """A robot that holds, controlled by a model; with `collected` as it stood, and no more growth."""
     stores = copy.deepcopy(collected.stores) if collected else None
     rig = Rig(settings, seed, arm=arm, retrainer=False, stores=stores)
     if collected:
         rig.robot.restore(collected.robot, rig.now_ns)
     rig.executive.body.schema_version = 1
+    rig.executive.body.watchful = collected is None  # a bad schema lets wires hang: no rupture
     rig.executive.arm.use(model)
     RigSession(rig).wait(
         lambda x: isinstance(x, m.ExecutiveState) and x.stage == "hold", 60.0, "the arm holding"
@@ -52,13 +56,13 @@ def start(
     return rig
 
 
-def collect(settings: RobotSettings, seed: int, model: Any, n_new: int) -> Collected:
+def collect(
+    settings: RobotSettings, seed: int, model: BodyModel, n_new: int, arm: type[Arm] = Arm
+) -> Collected:
     """Plug in the robot's spare and let the growth procedure collect its motions."""
-    import msgspec
-
     growth = msgspec.structs.replace(settings.growth, n_new=n_new)
     settings = msgspec.structs.replace(settings, growth=growth)
-    rig = start(settings, seed, model)
+    rig = start(settings, seed, model, arm=arm)
     session = RigSession(rig)
     session.ask(m.Plug(muscle=settings.spare[0].name))
     body = rig.executive.body

@@ -24,6 +24,7 @@ from hardware_sim.wire_drive import (
     elastic_tension_n,
 )
 from runtime.messages import MusclePath, Place
+from runtime.muscle_path import path_of_tendon
 from runtime.settings import RobotSettings
 
 DT_S = 0.001
@@ -84,6 +85,15 @@ class Plant:
     def path_length_m(self) -> Array:
         """Geometric length of each wire's path at the last `step`, shape (M,)."""
         return self._path_length
+
+    def true_paths(self) -> dict[str, MusclePath]:
+        """Where the wires really run, by name."""
+        return {name: path_of_tendon(self._spec.tendon(name)) for name in self.wires}
+
+    @property
+    def elastic_n_m(self) -> list[tuple[float, float, float]]:
+        """Each wire's true elastic curve, see `elastic_tension_n`."""
+        return [self.simulation.elastic_n_m for _ in self.wires]
 
     @property
     def time_s(self) -> float:
@@ -213,7 +223,7 @@ class Plant:
         for actuator in list(self._spec.actuators):
             self._spec.delete(actuator)
         # before anything is displaced: wires may share a site
-        self.paths = {tendon.name: _nominal_path(tendon) for tendon in self._spec.tendons}
+        self.paths = {tendon.name: path_of_tendon(tendon) for tendon in self._spec.tendons}
         for tendon in self._spec.tendons:
             rng = self._rng(tendon.name)
             for wrap in tendon.path:
@@ -278,15 +288,3 @@ class Plant:
 
     def _rng(self, text: str) -> np.random.Generator:
         return np.random.default_rng(zlib.crc32(text.encode()))
-
-
-def _nominal_path(tendon: Any) -> MusclePath:
-    places = []
-    for wrap in tendon.path:
-        if wrap.type == mj.mjtWrap.mjWRAP_SITE:
-            x, y, z = (float(v) for v in wrap.target.pos)
-            places.append(Place(link=wrap.target.parent.name, position_m=(x, y, z)))
-        else:
-            side = wrap.sidesite.name if wrap.sidesite else ""
-            places.append(Place(wrap=wrap.target.name, side=side))
-    return MusclePath(attachment=places[0], direction=(0.0, 0.0, -1.0), relays=tuple(places[1:]))

@@ -38,11 +38,13 @@ class Body:
     Attributes:
         growth: the procedure that runs, if one does.
         schema_version: number of the schema that controls the arm.
+        watchful: whether muscles that come and go change the body.
     """
 
     def __init__(self, arm: Arm, notebook: Notebook, seed: int, tell: Tell) -> None:
         self.growth: Growth | None = None
         self.schema_version = 0
+        self.watchful = True
         self._arm = arm
         self._notebook = notebook
         self._seed = seed
@@ -70,6 +72,8 @@ class Body:
 
     def watch(self, dt_s: float) -> None:
         """Start growing when a muscle has come, shrinking when one has gone for good."""
+        if not self.watchful:
+            return
         assert self._arm.schema is not None
         known, memory = self._arm.schema.muscles, self._notebook.memory
         memory.refused = [name for name in memory.refused if not self._is_gone(name)]

@@ -20,9 +20,11 @@ class Skeleton:
 
     Attributes:
         range_rad: (N, 2) limits of the joints.
+        gravity_scale: how heavy the body is believed to be, over what its file says.
     """
 
     def __init__(self, body_file: Path, joints: tuple[str, ...]) -> None:
+        self.gravity_scale = 1.0
         spec = mj.MjSpec.from_file(str(body_file))
         for actuator in list(spec.actuators):
             spec.delete(actuator)
@@ -44,4 +46,4 @@ class Skeleton:
         self._data.qvel[:] = 0.0
         mj.mj_comVel(self._model, self._data)
         mj.mj_rne(self._model, self._data, 0, self._data.qfrc_bias)
-        return np.asarray(self._data.qfrc_bias[self._dof]).copy()
+        return self.gravity_scale * np.asarray(self._data.qfrc_bias[self._dof])

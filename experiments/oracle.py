@@ -1,0 +1,52 @@
+"""Perfect knowledge of the body, to tell what learning leaves from what friction leaves.
+
+It knows where every wire runs and how every elastic element gives, and it is controlled as any
+schema. What it still gets wrong no schema could get right.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.rig import Rig
+from hardware_sim.wire_drive import elastic_stretch_m
+from services.logic.wiring import Wiring
+
+Array = NDArray[np.float64]
+
+TABLE_N = np.concatenate((np.linspace(0.0, 20.0, 81), np.linspace(21.0, 400.0, 380)))
+
+
+class Oracle:
+    """A `BodyModel` of the robot in a rig, made of its truth."""
+
+    def __init__(self, rig: Rig) -> None:
+        plant, settings = rig.robot.plant, rig.settings
+        self.joints = settings.joints
+        self.muscles = tuple(plant.wires)
+        self._geometry = Wiring(settings.body_file, settings.joints, plant.true_paths())
+        self._stretch_m = [
+            np.array([elastic_stretch_m(f, curve) for f in TABLE_N.tolist()])
+            for curve in plant.elastic_n_m
+        ]
+        self._offset_m = np.zeros(len(self.muscles))
+        felt = rig.executive.arm.felt()
+        measured = np.array([felt[name][0] for name in self.muscles])
+        truth = rig.robot.truth()
+        model = self.lengths(np.array(truth.angle_rad), np.array(truth.tension_n))
+        self._offset_m = measured - model
+
+    def lengths(self, theta: Array, f: Array) -> Array:
+        """As `BodyModel.lengths`, one sample."""
+        return self.lengths_and_jacobian(theta, f)[0]
+
+    def lengths_jacobian(self, theta: Array, f: Array) -> Array:
+        """As `BodyModel.lengths_jacobian`."""
+        return self.lengths_and_jacobian(theta, f)[1]
+
+    def lengths_and_jacobian(self, theta: Array, f: Array) -> tuple[Array, Array]:
+        """As `BodyModel.lengths_and_jacobian`."""
+        path, jacobian = self._geometry.lengths_and_jacobian(theta)
+        stretch = [np.interp(x, TABLE_N, e) for x, e in zip(f, self._stretch_m, strict=True)]
+        return path + self._offset_m - np.array(stretch), jacobian

@@ -1,0 +1,58 @@
+"""What the body may be besides what everybody believes: fixed before any method was tuned.
+
+Each variant changes the simulated robot, or what its services believe, and nothing else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import msgspec
+
+from runtime.settings import RobotSettings
+from services.logic.arm import Arm
+from services.logic.skeleton import Skeleton
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way in which a body is not as believed.
+
+    Attributes:
+        text: what it is, for the help.
+        simulation: fields of `[simulation]` that differ.
+        believed_load: gravity that the services reckon with, over the true one.
+    """
+
+    text: str
+    simulation: dict[str, float] = field(default_factory=dict)
+    believed_load: float = 1.0
+
+    def settings(self, settings: RobotSettings) -> RobotSettings:
+        """The robot of this variant."""
+        simulation = msgspec.structs.replace(settings.simulation, **self.simulation)
+        return msgspec.structs.replace(settings, simulation=simulation)
+
+    def arm(self, kind: type[Arm]) -> type[Arm]:
+        """An arm that reckons with the believed load."""
+        if self.believed_load == 1.0:
+            return kind
+        load = self.believed_load
+
+        class Loaded(kind):  # type: ignore[valid-type, misc]
+            def __init__(self, settings: RobotSettings, skeleton: Skeleton) -> None:
+                super().__init__(settings, skeleton)
+                skeleton.gravity_scale = load
+
+        return Loaded
+
+
+VARIANTS = {
+    "clean": Variant("nothing but the assembly error"),
+    "moved2": Variant("old insertions 2 mm elsewhere since h_old", {"moved_m": 0.002}),
+    "moved4": Variant("old insertions 4 mm elsewhere since h_old", {"moved_m": 0.004}),
+    "stiff": Variant("the new muscle's elastic element twice as stiff", {"spare_stiffness": 2.0}),
+    "motor": Variant("friction at the motor too: readings lag by 5 %", {"motor_friction": 0.05}),
+    "soft": Variant("the new wire runs over a soft part", {"soft_part_m": 0.01}),
+    "load": Variant("the load is known 10 % wrong", believed_load=1.1),
+}
