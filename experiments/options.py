@@ -48,12 +48,12 @@ class Options:
     fresh: bool
 
     def units(self, experiment: str) -> list[Unit]:
-        """Every cell, seed by seed, so that all cells fill alike."""
+        """Every cell, seed by seed, so that all cells fill alike; N_new 0 is for the baselines."""
         return [
             Unit(experiment, variant, seed, n_new)
             for seed in self.seeds
             for variant in self.variants
-            for n_new in self.n_new
+            for n_new in (0, *self.n_new)
         ]
 
 
@@ -76,7 +76,12 @@ def configure(parser: argparse.ArgumentParser, choices: Choices) -> None:
     add("--n-new", metavar="N,N", help=f"motions learned from (default {_words(choices.n_new)})")
     add("--methods", metavar="A,B", help="which to compare (default all); see below")
     add("--variants", metavar="A,B", help=f"(default {next(iter(choices.variants))}); see below")
-    add("--jobs", default="2", metavar="N", help="worker processes; 1: in this one (default 2)")
+    add(
+        "--jobs",
+        default="2",
+        metavar="N",
+        help="processes here; 1: only this one (default 2)",
+    )
     add("--backend", default="loky", help="loky: this host (default); dask: a cluster's workers")
     add("--address", default="", metavar="URL", help="of its scheduler: tcp://HOST:8786")
     add("--json", type=Path, metavar="FILE", help="every single run, means and orderings")

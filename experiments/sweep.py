@@ -4,8 +4,8 @@ What is done stands in `units.jsonl` of the results folder: one line that says w
 is about, then one line for each finished piece, on disk before the next is taken. A sweep that is
 killed at any moment goes on where it was. What failed is tried again at the next start.
 
-Backends are joblib's: `loky` starts processes here, `dask` sends the pieces to the workers of a
-running scheduler. joblib has others; `ray.util.joblib.register_ray()` adds one for Ray.
+Backends: `loky`, by joblib, starts processes here; `dask` sends the pieces to the workers of a
+running scheduler (`dask worker URL --nthreads 1` on each host), which need this package too.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import os
 import threading
 import time
 import traceback
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
@@ -77,10 +77,10 @@ def run_units(
     """Run the units that are not kept yet; those that fail do not stop the others.
 
     Processes that loky starts, and Dask's by default, compute in one thread each. With one job the
-    work is done in this process.
+    work is done in this process. On a cluster as many are run as it has room for.
 
     Raises:
-        SweepError: a worker process died, or the cluster cannot be reached.
+        SweepError: a worker process died here, or the cluster cannot be reached.
         Stopped: Ctrl-C.
     """
     wanted = {unit.key: unit for unit in units}
@@ -114,42 +114,50 @@ def _lines(
     if jobs == 1 and backend == "loky":
         yield from (_attempt(work, unit) for unit in units)
         return
+    on = _on_dask(units, work, address) if backend == "dask" else _on_loky(units, work, jobs)
+    with contextlib.closing(on):  # ends the workers, or takes back what waits for them
+        yield from on
+
+
+def _on_loky(units: Sequence[Unit], work: Work, jobs: int) -> Generator[str, None, None]:
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    with contextlib.ExitStack() as stack:
-        if backend == "dask":
-            client = stack.enter_context(_dask(address))
-            stack.enter_context(parallel_config("dask", client=client))
-            jobs, watch = -1, 0  # as many as the cluster has; it looks after itself
-        else:
-            stack.enter_context(parallel_config("loky", inner_max_num_threads=1))
-            watch = os.getpid()
+    with parallel_config("loky", inner_max_num_threads=1):
         parallel = Parallel(
             n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs"
         )
-        lines = parallel(delayed(_attempt)(work, unit, watch) for unit in units)
+        lines = parallel(delayed(_attempt)(work, unit, os.getpid()) for unit in units)
         try:
             yield from lines
         except TerminatedWorkerError as error:
             raise SweepError("a worker process died; was there too little memory?") from error
         finally:
-            lines.close()  # ends the workers, whatever they are about
+            lines.close()
 
 
-@contextlib.contextmanager
-def _dask(address: str) -> Iterator[object]:
+def _on_dask(units: Sequence[Unit], work: Work, address: str) -> Generator[str, None, None]:
+    """Straight to the scheduler: joblib's backend for it waits forever when a worker dies."""
     try:
-        from distributed import Client
+        from distributed import Client, as_completed
+        from distributed.client import FutureCancelledError
+        from distributed.scheduler import KilledWorker
     except ModuleNotFoundError as error:
-        raise SweepError("--backend dask needs the extra `cluster`, or Dask itself") from error
+        raise SweepError("--backend dask needs the package `distributed`") from error
     try:
         client = Client(address, timeout=10.0)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         text = f"no Dask scheduler answers at {address!r}; `dask scheduler` starts one"
         raise SweepError(text) from error
     with client:
-        yield client
+        futures = {client.submit(_attempt, work, unit, pure=False): unit for unit in units}
+        for future in as_completed(futures):  # type: ignore[no-untyped-call]
+            try:
+                yield future.result()
+            except KilledWorker:
+                yield _failure(futures[future], "its worker died, again and again")
+            except FutureCancelledError as error:
+                raise SweepError(f"lost the Dask scheduler at {address!r}") from error
 
 
 @functools.cache
@@ -169,15 +177,20 @@ def _attempt(work: Work, unit: Unit, parent: int = 0) -> str:
     if parent:
         _end_with(parent)
     start = time.perf_counter()
-    line: dict[str, object] = {"key": unit.key, "unit": asdict(unit)}
     try:
         runs = [_checked(run) for run in work(unit)]
-        return json.dumps({**line, "wall_s": time.perf_counter() - start, "runs": runs})
+        wall_s = time.perf_counter() - start
+        line = {"key": unit.key, "unit": asdict(unit), "wall_s": wall_s, "runs": runs}
+        return json.dumps(line)
     except Exception as error:
         where = traceback.extract_tb(error.__traceback__)[-1]
         text = " ".join(f"{type(error).__name__}: {error}".split())
         place = f"{where.filename.rpartition('/')[2]}:{where.lineno}"
-        return json.dumps({**line, "error": f"{text} ({place})"})
+        return _failure(unit, f"{text} ({place})")
+
+
+def _failure(unit: Unit, error: str) -> str:
+    return json.dumps({"key": unit.key, "unit": asdict(unit), "error": error})
 
 
 def _checked(run: Run) -> Run:

@@ -15,7 +15,7 @@ import pytest
 
 from experiments.store import Store
 from experiments.sweep import run_units
-from tests.sweep_work import UNITS, squares
+from tests.sweep_work import UNITS, die, squares
 
 
 def wait_until(true: Callable[[], object], within_s: float = 30.0) -> None:
@@ -75,9 +75,10 @@ def test_the_workers_of_a_dask_cluster_find_the_same(tmp_path: Path) -> None:
         ) as cluster,
         Store(tmp_path, {"made": "up"}) as store,
     ):
-        outcome = run_units(
-            UNITS, squares, store, backend="dask", address=cluster.scheduler_address
-        )
+        address = cluster.scheduler_address
+        killed = run_units(UNITS[:1], die, store, backend="dask", address=address)
+        outcome = run_units(UNITS, squares, store, backend="dask", address=address)
+    assert killed.failed == {UNITS[0].key: "its worker died, again and again"}
     assert not outcome.failed
     assert [run["figures"]["square"] for run in outcome.runs] == [0, 1, 4, 9, 16, 25]
     assert {run["figures"]["threads"] for run in outcome.runs} == {1.0}

@@ -67,8 +67,9 @@ def test_words() -> None:
     assert chosen.methods == ("(i)", "wires") and chosen.variants == ("paper", "misfit")
     assert options("--methods", "(ii)").methods == ("(ii)",)
     keys = [unit.key for unit in chosen.units("elbow")]
-    assert len(set(keys)) == 8
-    assert keys[:3] == ["elbow/paper/n5/seed7", "elbow/paper/n1/seed7", "elbow/misfit/n5/seed7"]
+    assert len(set(keys)) == 12
+    assert keys[:3] == ["elbow/paper/n0/seed7", "elbow/paper/n5/seed7", "elbow/paper/n1/seed7"]
+    assert keys[3] == "elbow/misfit/n0/seed7"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,75 @@
+"""From options to findings: run a sweep, print its tables, write its pictures and its JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from experiments.options import Choices, Options
+from experiments.plots import draw_over_n, draw_variants
+from experiments.progress import bars
+from experiments.store import Store
+from experiments.sweep import Outcome, Work, run_units
+from experiments.tables import Measure, document, markdown_table, ordering_lines, text_table
+
+
+def carry_out(
+    choices: Choices,
+    options: Options,
+    work: Work,
+    fingerprint: Mapping[str, Any],
+    measures: Sequence[Measure],
+    *,
+    title: str,
+) -> int:
+    """Run what is not kept yet, then tell all of it; the exit code, 1 if a piece failed.
+
+    Methods belong to the settings, for each piece runs all of them: they join the fingerprint.
+    """
+    settings = {**fingerprint, "methods": options.methods, "quick": options.quick}
+    with Store(options.out, settings, fresh=options.fresh) as store, bars() as narrate:
+        outcome = run_units(
+            options.units(choices.experiment),
+            work,
+            store,
+            jobs=options.jobs,
+            backend=options.backend,
+            address=options.address,
+            narrate=narrate,
+        )
+    tell(choices, options, outcome, store.fingerprint, measures, title=title)
+    return 1 if outcome.failed else 0
+
+
+def tell(
+    choices: Choices,
+    options: Options,
+    outcome: Outcome,
+    fingerprint: Mapping[str, Any],
+    measures: Sequence[Measure],
+    *,
+    title: str,
+) -> None:
+    """Tables and orderings to the terminal; tables, pictures and JSON to files."""
+    runs = outcome.runs
+    if runs:
+        for measure in measures:
+            print(f"\n{text_table(measure, runs)}\n")
+            print("\n".join(ordering_lines(measure, runs)))
+        (options.out / "tables.md").write_text(
+            "\n\n".join(markdown_table(measure, runs) for measure in measures) + "\n"
+        )
+        at, known = options.out / choices.experiment, list(choices.methods)
+        files = draw_over_n(at, measures, runs, title=title, known=known)
+        if len(options.variants) > 1:
+            at = options.out / f"{choices.experiment}-variants"
+            files += draw_variants(at, measures, runs, title=title, known=known)
+        print("\nwritten:", *files, options.out / "tables.md", sep="\n  ")
+    if options.json:
+        told = document(measures, runs, outcome.failed, fingerprint)
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(told, indent=1, allow_nan=False) + "\n")
+    if outcome.failed:
+        print(outcome, file=sys.stderr)
