@@ -8,7 +8,6 @@ them the same sweep before the muscle came, and by an oracle that knows the true
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
@@ -17,17 +16,15 @@ from time import perf_counter
 import msgspec
 
 from experiments import options
-from experiments.options import Choices, Options
+from experiments.options import Choices
 from experiments.oracle import Oracle
 from experiments.paper_control import Descent, PaperArm
-from experiments.plots import draw_over_n, draw_variants
-from experiments.progress import bars
+from experiments.report import carry_out
 from experiments.sequence import score_sweep
 from experiments.session import RigSession, SessionError
 from experiments.statistics import Run
-from experiments.store import Store
-from experiments.sweep import Unit, run_units
-from experiments.tables import Measure, document, ordering_lines, text_table
+from experiments.sweep import Unit
+from experiments.tables import Measure
 from experiments.trial import Collected, collect, start
 from experiments.variants import VARIANTS, Variant
 from runtime.messages import Motion
@@ -90,49 +87,9 @@ def run(args: argparse.Namespace) -> int:
     """Run the sweep; tell, draw and keep what it found."""
     chosen = options.read(args, CHOICES)
     settings = load_robot("elbow")
-    assert settings.schema_file is not None
-    baselines = [
-        Unit("elbow", variant, seed, 0) for seed in chosen.seeds for variant in chosen.variants
-    ]
     work = partial(one_unit, methods=chosen.methods, quick=chosen.quick)
-    with Store(chosen.out, _fingerprint(settings, chosen), fresh=chosen.fresh) as store:
-        with bars() as narrate:
-            outcome = run_units(
-                [*baselines, *chosen.units("elbow")],
-                work,
-                store,
-                jobs=chosen.jobs,
-                backend=chosen.backend,
-                address=chosen.address,
-                narrate=narrate,
-            )
-        tell(outcome.runs, chosen, MEASURES)
-        if chosen.json:
-            table = document(MEASURES, outcome.runs, outcome.failed, store.fingerprint)
-            chosen.json.write_text(json.dumps(table, indent=1) + "\n")
-    if outcome.failed:
-        print(outcome)
-    return 1 if outcome.failed else 0
-
-
-def tell(runs: list[Run], chosen: Options, measures: tuple[Measure, ...]) -> None:
-    """Tables on the terminal; tables, orderings and pictures in the results folder."""
-    lines: list[str] = []
-    for measure in measures:
-        lines += [measure.title, text_table(measure, runs), ""]
-    for measure in measures:
-        lines += [*ordering_lines(measure, runs), ""]
-    (chosen.out / "results.txt").write_text("\n".join(lines))
-    print("\n".join(line for line in lines if "ordering" not in line and " < " not in line))
-    for control in (PAPERS, CONVERGED):
-        some = [run for run in runs if run["control"] == control]
-        if some:
-            title = f"{CHOICES.experiment}: control {control}"
-            draw_over_n(chosen.out / control, measures, some, title=title, known=list(METHODS))
-    if len({run["variant"] for run in runs}) > 1:
-        some = [run for run in runs if run["control"] == CONVERGED]
-        draw_variants(chosen.out / "variants", measures, some, known=list(METHODS))
-    print(f"tables, orderings and pictures in {chosen.out}")
+    title = "one joint, a fourth muscle is added"
+    return carry_out(CHOICES, chosen, work, _fingerprint(settings), MEASURES, title=title)
 
 
 def one_unit(unit: Unit, methods: tuple[str, ...], quick: bool) -> list[Run]:
@@ -267,7 +224,7 @@ def _shipped(settings: RobotSettings) -> bytes:
     return settings.schema_file.read_bytes()
 
 
-def _fingerprint(settings: RobotSettings, chosen: Options) -> dict[str, object]:
+def _fingerprint(settings: RobotSettings) -> dict[str, object]:
     import zlib
 
     from services.body_schema import train
@@ -278,6 +235,4 @@ def _fingerprint(settings: RobotSettings, chosen: Options) -> dict[str, object]:
         "schema_crc": zlib.crc32(_shipped(settings)),
         "recipe": asdict(train.NEW),
         "descent": asdict(Descent()),
-        "methods": chosen.methods,
-        "quick": chosen.quick,
     }

@@ -61,11 +61,15 @@ def tell(
         (options.out / "tables.md").write_text(
             "\n\n".join(markdown_table(measure, runs) for measure in measures) + "\n"
         )
-        at, known = options.out / choices.experiment, list(choices.methods)
-        files = draw_over_n(at, measures, runs, title=title, known=known)
-        if len(options.variants) > 1:
-            at = options.out / f"{choices.experiment}-variants"
-            files += draw_variants(at, measures, runs, title=title, known=known)
+        files, known = [], list(choices.methods)
+        for control in dict.fromkeys(run["control"] for run in runs):
+            some = [run for run in runs if run["control"] == control]
+            at = options.out / f"{choices.experiment}-{control}"
+            words = f"{title}; control: {control}"
+            files += draw_over_n(at, measures, some, title=words, known=known)
+            if len(options.variants) > 1:
+                at = options.out / f"{choices.experiment}-{control}-variants"
+                files += draw_variants(at, measures, some, title=words, known=known)
         print("\nwritten:", *files, options.out / "tables.md", sep="\n  ")
     if options.json:
         told = document(measures, runs, outcome.failed, fingerprint)

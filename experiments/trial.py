@@ -42,7 +42,7 @@ def start(
     collected: Collected | None = None,
     arm: type[Arm] = Arm,
 ) -> Rig:
-    """A robot that holds, controlled by a model; with `collected` as it stood, and no more growth."""
+    """A robot that holds, controlled by a model; with `collected` as it stood and grows no more."""
     stores = copy.deepcopy(collected.stores) if collected else None
     rig = Rig(settings, seed, arm=arm, retrainer=False, stores=stores)
     if collected:

@@ -38,6 +38,8 @@ LEASE_NS = 200_000_000
 FADE_S = 0.8
 GUEST_BIAS_N = 5.0
 GUEST_RATE_N_S = 60.0  # how fast a guest's tension changes
+FELT_S = 0.1  # time constant of what the model is found to be off by
+CORRECT_S = 0.5  # in which that comes into effect, or goes
 GUEST_TORQUE_S = 0.12  # time constant of the estimate of what guests do to the joints
 
 
@@ -51,12 +53,15 @@ class Arm:
         self.path: Path | None = None
         self.plan: Plan | None = None
         self.excluded: set[str] = set()  # schema muscles that must not be relied on
+        self.corrected = False  # whether lengths follow what the model is found to be off by
         self.guest_bias_n: dict[str, float] = {}  # what guests shall pull with, by and by
         self._guest_now_n: dict[str, float] = {}
         self._guest_torque_nm = np.zeros(len(settings.joints))
         self._bodies: dict[str, ChainBody] = {}
         self._states: dict[str, ChainState] = {}
         self._angles: dict[str, tuple[float, int]] = {}  # joint -> angle [rad], stamp
+        self._off_m: dict[str, float] = {}  # length that is felt, less what the model says
+        self._correction = 0.0  # how much of that is in effect, 0 to 1
         self._offset_m: dict[str, float] | None = None  # of targets from the plan, fading out
         self._fade_s = 0.0
         self._target_m: dict[str, float] = {}
@@ -130,6 +135,8 @@ class Arm:
             self._guest_now_n.pop(name, None)
         self.plan = None
         self._guest_torque_nm[:] = 0.0
+        self._off_m.clear()
+        self._correction = 0.0
         if self.path is not None:
             theta, _ = self.path.now()
             self.path = Path.between(theta, theta, self._floor(), self._floor(), 1.0)
@@ -186,6 +193,7 @@ class Arm:
         ceiling = np.where(there, self.settings.control.tension_ceiling_n, 0.0)
         self._feel_guests(felt, dt_s)
         self.plan = self.planned(theta, np.minimum(floor, ceiling), ceiling)
+        self._feel_errors(felt, dt_s)
         self._aim(felt, dt_s)
 
     def planned(self, theta: Array, floor_n: Array, ceiling_n: Array) -> Plan:
@@ -199,6 +207,28 @@ class Arm:
             ceiling_n,
             None if self.plan is None else self.plan.tension_n,
         )
+
+    def _feel_errors(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
+        """What the model's lengths are off by where the arm is now.
+
+        A schema that is wrong by millimetres makes tension: 20 N for each, at 20 N/mm. While
+        motions are collected, joints are measured, and targets follow what is found here.
+        """
+        step = dt_s / CORRECT_S if self.corrected else -dt_s / CORRECT_S
+        self._correction = min(max(self._correction + step, 0.0), 1.0)
+        if self._correction == 0.0:
+            self._off_m.clear()
+            return
+        assert self.schema is not None
+        names = [name for name in self.schema.muscles if name in felt]
+        if len(names) < len(self.schema.muscles):
+            return
+        tension = np.array([max(felt[name][1], 0.0) for name in names])
+        model = self.schema.lengths(self.angle_rad, tension)
+        share = min(dt_s / FELT_S, 1.0)
+        for name, length in zip(names, model.tolist(), strict=True):
+            off = felt[name][0] - length
+            self._off_m[name] = self._off_m.get(name, off) * (1.0 - share) + off * share
 
     def _feel_guests(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
         """What guests do to the joints [Nm], from what is left of the balance of torques.
@@ -242,6 +272,7 @@ class Arm:
                 self._lead_guest(name, dt_s)
                 continue
             target = planned[name][1] + share * self._offset_m.get(name, 0.0)
+            target += self._correction * self._off_m.get(name, 0.0)
             last = self._target_m.get(name, target)
             targets[name] = min(max(target, last - reach), last + reach)
         self._target_m = targets

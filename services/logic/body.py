@@ -211,6 +211,7 @@ class Body:
     def _end(self, growth: Growth, *, cancelled: bool = False) -> None:
         record, memory = growth.record, self._notebook.memory
         self.growth, memory.growth = None, None
+        self._arm.corrected = False
         name = record.muscle
         if growth.over == "done":
             module = self._arm.module(name)

@@ -117,6 +117,7 @@ class Growth:
             return
         self._ticks += 1
         self._waited_s += dt_s
+        self._arm.corrected = self.record.stage in ("collect", "relearn")
         if self.record.stage == "join":
             self._join()
         elif self.record.stage == "collect":
