@@ -8,6 +8,8 @@ import sys
 
 EXPERIMENTS = {
     "learn": "a robot's first body schema, from motion under disturbed loads",
+    "place": "places for a body's wires, so that its postures can be held",
+    "reach": "a task in the rig: how near it comes to its targets",
     "grow": "the demo's sequence in the rig, for one or many seeds",
 }
 

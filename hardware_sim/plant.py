@@ -76,6 +76,11 @@ class Plant:
         return np.array([self.model.joint(name).range for name in self.joints])
 
     @property
+    def inertia_kg_m2(self) -> Array:
+        """What each joint alone has to turn in the body's zero posture, shape (N,)."""
+        return np.asarray(self.model.dof_M0[self._dof])
+
+    @property
     def wire_length_m(self) -> Array:
         """Wire paid out from each spool (the spring's rest length), shape (M,)."""
         return np.asarray(self._rest_length.copy())
