@@ -10,6 +10,7 @@ EXPERIMENTS = {
     "learn": "a robot's first body schema, from motion under disturbed loads",
     "place": "places for a body's wires, so that its postures can be held",
     "reach": "a task in the rig: how near it comes to its targets",
+    "lift": "what carrying a payload asks of the muscles, before anything is learned",
     "grow": "the demo's sequence in the rig, for one or many seeds",
 }
 

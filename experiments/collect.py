@@ -39,7 +39,7 @@ class Leading:
     """How a body is led.
 
     Attributes:
-        tension_n: range of the muscles' random tensions.
+        tension_n: range of the muscles' random tensions; infinite: up to the robot's ceiling.
         wire_speed_m_s: a posture is gone to so slowly that no wire has to run faster.
     """
 
@@ -50,7 +50,7 @@ class Leading:
 # A wire that is wound in quickly falls slack (0.006 m/s a newton, see muscle_bank.py). Of three
 # wires that costs some samples; of ten one is slack nearly always, and a sample needs all.
 FEW = Leading((5.0, 100.0), math.inf)
-MANY = Leading((11.0, 130.0), 0.06)
+MANY = Leading((11.0, math.inf), 0.06)
 FEW_WIRES = 4
 
 
@@ -83,6 +83,7 @@ def collect_old(
     leading = FEW if count <= FEW_WIRES else MANY
     geometry = Geometry(settings.body_file, settings.joints)
     weak, strong = leading.tension_n
+    strong = min(strong, settings.control.tension_ceiling_n)
     goal, tension = plant.angle_rad.copy(), np.full(count, 8.0)
     rows: list[tuple[Array, Array, Array]] = []
     segment_ms = round(SEGMENT_S * 1000)

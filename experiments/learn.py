@@ -20,7 +20,7 @@ from services.body_schema.schema import Schema
 HELD_OUT_EVERY = 10
 DURATION_S = 500.0
 # Of training for bodies of more than one joint, chosen on musashi_arm's held-out samples.
-LARGER_STEPS, LARGER_BATCH, LARGER_RATE = 40_000, 256, 2e-3
+LARGER_STEPS, LARGER_BATCH, LARGER_RATE = 60_000, 256, 2e-3
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -5,8 +5,9 @@ sites of a robot's wires inside boxes around where the body file has them, and k
 tensions that its postures ask for. The body file is written anew with `--write`.
 
 The score of a body is a smooth stand-in for the greatest of the least maximal tensions, see
-`feasibility.py`: torque that nothing can carry is paid for, and so is a moment arm that changes its
-sign within the joints' ranges at the joint that the muscle is there for.
+`feasibility.py`: torque that nothing can carry is paid for. So is a moment arm that changes its
+sign within the joints' ranges at the joint that the muscle is there for, and a joint that only
+short arms move: friction of the wires would decide where it stands.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ POSTURES = 160
 UNCARRIED_N_NM2 = 5e4  # price of torque that nothing carries: 0.02 Nm costs 10 N
 NORM = 8.0  # of tensions over postures: the worst ones count most
 LEAST_ARM_M = 0.015  # a muscle's arm at its own joint should not fall below ...
+JOINT_ARM_M = 0.02  # the longest arm in each direction of each joint should not, either ...
 ARM_PRICE_N_M = 4000.0  # ... or each mm costs 4 N
 CLEAR = 0.7  # of its first distance from the bone's axis is left to a site at least
 MIRROR = np.array((1.0, -1.0, 1.0))  # of a link's frame: y points to the left
@@ -172,12 +174,16 @@ class Search:
     def _rate(self) -> float:
         floor = self._settings.control.tension_floor_n
         peaks, least = [], np.full(len(self._own), np.inf)
+        shortest = np.full((2, len(self._geometry.joints)), np.inf)  # down, up
         for posture in self._postures:
             _, jacobian, torque = self._geometry.at(posture)
             peaks.append(_soft_peak(jacobian, self._load * torque, floor))
             own = self._sign * jacobian[np.arange(len(jacobian)), self._own]
             np.minimum(least, own, out=least)
+            longest = np.stack((jacobian.max(axis=0), -jacobian.min(axis=0)))
+            np.minimum(shortest, longest, out=shortest)
         missing_m = np.maximum(LEAST_ARM_M - least, 0.0).sum()
+        missing_m += np.maximum(JOINT_ARM_M - shortest, 0.0).sum()
         return float(np.mean(np.array(peaks) ** NORM) ** (1 / NORM) + ARM_PRICE_N_M * missing_m)
 
 

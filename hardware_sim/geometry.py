@@ -36,7 +36,7 @@ class Geometry:
         wires: names of the M wires: the file's tendons, then what was attached.
         range_rad: (N, 2), joints' limits.
         wire_sites: of each wire the sites on its way, in order.
-        mass_kg: of each link with a mass of its own, by name.
+        mass_kg: of each link with a mass of its own, by name; not of things that lie about.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Geometry:
         self.mass_kg = {
             model.body(i).name: float(model.body_mass[i])
             for i in range(1, model.nbody)
-            if model.body_mass[i] > 0.0
+            if model.body_mass[i] > 0.0 and not _lies_about(model, i)
         }
         self._rows = np.repeat(np.arange(model.ntendon), model.ten_J_rownnz)
 
@@ -135,6 +135,13 @@ def _attach(spec: mj.MjSpec, name: str, path: MusclePath) -> None:
         site = f"{name}/{k}"
         _link(spec, place.link).add_site(name=site, pos=place.position_m)
         tendon.wrap_site(site)
+
+
+def _lies_about(model: mj.MjModel, body: int) -> bool:
+    """Whether it belongs to something that is free: no part of the robot."""
+    root = int(model.body_rootid[body])
+    joint = int(model.body_jntadr[root])
+    return joint >= 0 and bool(model.jnt_type[joint] == mj.mjtJoint.mjJNT_FREE)
 
 
 def _sites(model: mj.MjModel, tendon: int) -> tuple[str, ...]:

@@ -120,7 +120,7 @@ def test_postures_are_the_same_for_a_seed_and_keep_the_range():
     assert np.ptp(drawn, axis=0) == pytest.approx(np.ptp(limits, axis=1), rel=0.1)
 
 
-@pytest.mark.parametrize("robot", ["elbow", "musashi_arm"])
+@pytest.mark.parametrize("robot", ["elbow", "musashi_arm", "musashi_w"])
 def test_shipped_bodies_can_be_held_with_a_fifth_to_spare(robot):
     settings = load_robot(robot)
     geometry = Geometry(settings.body_file, settings.joints)
