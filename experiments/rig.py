@@ -180,6 +180,8 @@ class Rig:
                 else:
                     waiting.append((free_ns, reply))
                 continue
+            if type(message) is m.HandCommand:
+                self._deliver(self.robot.hand(message))
             self._deliver(message)
 
     def _deliver(self, message: Message) -> None:

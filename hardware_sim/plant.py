@@ -17,6 +17,7 @@ from typing import Any
 import mujoco as mj
 import numpy as np
 
+from hardware_sim.grasp import Grasp
 from hardware_sim.wire_drive import (
     Array,
     WireDrive,
@@ -39,6 +40,7 @@ class Plant:
 
     Attributes:
         paths: nominal paths of the body file's own wires.
+        grasp: what the hands hold.
     """
 
     def __init__(self, settings: RobotSettings, seed: int = 0) -> None:
@@ -55,6 +57,7 @@ class Plant:
             len(self.wires), settings.module.winding_speed_m_s, self.simulation.ambient_degc
         )
         self.ruptured: set[str] = set()
+        self.grasp = Grasp(settings.payload)
         self._steps = 0
         self._bind()
         self._rest()
@@ -75,6 +78,11 @@ class Plant:
     def range_rad(self) -> Array:
         """Limits of the joints, shape (N, 2)."""
         return np.array([self.model.joint(name).range for name in self.joints])
+
+    @property
+    def inertia_kg_m2(self) -> Array:
+        """What each joint alone has to turn in the body's zero posture, shape (N,)."""
+        return np.asarray(self.model.dof_M0[self._dof])
 
     @property
     def wire_length_m(self) -> Array:
@@ -103,6 +111,10 @@ class Plant:
     def torque_nm(self, torque_nm: Array) -> None:
         """Disturb the joints by outside torques, shape (N,), until told otherwise."""
         self.data.qfrc_applied[self._dof] = torque_nm
+
+    def payload_m(self, name: str) -> Array:
+        """Where a payload truly is, shape (3,), in the world's frame."""
+        return np.array(self.data.body(name).xpos)
 
     # ── stepping ──────────────────────────────────────────────────────────────────────────────
 
@@ -195,6 +207,7 @@ class Plant:
             "speed_m_s": self.drive.speed_m_s.tolist(),
             "temperature_degc": self.drive.temperature_degc.tolist(),
             "ruptured": sorted(self.ruptured),
+            "held": dict(self.grasp.held),
         }
 
     def restore(self, snapshot: dict[str, Any], paths: dict[str, MusclePath]) -> None:
@@ -210,6 +223,7 @@ class Plant:
             raise ValueError("the snapshot's wires are in another order than the body's")
         self.ruptured = set(snapshot["ruptured"])
         self._steps = snapshot["steps"]
+        self.grasp.held = dict(snapshot["held"])
         self._bind()
         mj.mj_setState(self.model, self.data, np.array(snapshot["state"]), STATE)
         self._friction_n[:] = snapshot["friction_n"]
@@ -260,6 +274,7 @@ class Plant:
         self._friction_n = self.model.tendon_frictionloss
         self._friction = np.array(np.sinh(self.simulation.wire_friction))
         self._elastic_n_m = self.simulation.elastic_n_m
+        self.grasp.bind(self.model, self.data)
         self._broken = np.array([name in self.ruptured for name in self.wires], dtype=bool)
         stiffness = np.array(self.simulation.elastic_n_m)
         for index, name in enumerate(self.wires):

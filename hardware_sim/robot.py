@@ -213,6 +213,27 @@ class SimulatedRobot:
             data={"kind": request.kind, "target": request.target},
         )
 
+    def hand(self, command: m.HandCommand) -> m.HandState:
+        """The robot's own hand opens, or closes on a payload; says what it holds then.
+
+        Raises:
+            PlugError: there is no such payload, or nothing to hold it with.
+        """
+        grasp, model, data = self.plant.grasp, self.plant.model, self.plant.data
+        for name, payload in grasp.payloads.items():
+            if payload.link == command.hand and name != command.holds:
+                grasp.open(model, data, name)
+        try:
+            held = bool(command.holds) and grasp.close(model, data, command.holds)
+        except ValueError as error:
+            raise PlugError(str(error)) from error
+        return m.HandState(
+            stamp_ns=self.now_ns,
+            hand=command.hand,
+            asked=command.holds,
+            holds=command.holds if held else "",
+        )
+
     # ── what really is ────────────────────────────────────────────────────────────────────────
 
     def truth(self) -> m.WorldTruth:

@@ -41,7 +41,7 @@ def main(launch: Launch) -> None:
     """Run the world until told to stop."""
     world = World(launch)
     with launch.open_bus() as member:
-        member.subscribe(m.BusRequest, m.Presence, every=True)
+        member.subscribe(m.BusRequest, m.Presence, m.HandCommand, every=True)
         member.serve(m.Plug, m.Unplug, m.Fault)
         member.ready()
         world.start(time.monotonic())
@@ -160,12 +160,14 @@ class World:
     # ── bus ───────────────────────────────────────────────────────────────────────────────────
 
     def receive(self, message: Message) -> None:
-        """Bytes from a master, or its coming and going."""
+        """Bytes from a master, its coming and going, and what the hands are told."""
         if isinstance(message, m.Presence):
             chain = self._master.get(message.process)
             if chain is not None:
                 (self._alive.add if message.alive else self._alive.discard)(chain)
                 self._heard_ns[chain] = self.robot.now_ns
+        elif isinstance(message, m.HandCommand):
+            self._close_hand(message)
         elif isinstance(message, m.BusRequest) and message.chain in self.robot.chains:
             # When it was sent counts, not when it came: else a master that hears everything late,
             # on a machine that is too slow, would be kept waiting for replies for good.
@@ -179,6 +181,13 @@ class World:
                 waiting.append((free_ns, reply))
             if message.data[INSTRUCTION_AT : INSTRUCTION_AT + 1] == bytes([Instruction.WRITE]):
                 self._save_ns = min(self._save_ns, self.robot.now_ns + CLOCK_NS)
+
+    def _close_hand(self, command: m.HandCommand) -> None:
+        try:
+            self._out.append(self.robot.hand(command))
+        except PlugError as error:
+            log.warning("hand '%s': %s", command.hand, error)
+        self._save()
 
     def answer(self, request: Message) -> Reply:
         """What hands do; refused in words when they cannot."""

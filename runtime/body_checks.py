@@ -45,6 +45,14 @@ def body_mistakes(settings: RobotSettings) -> Iterator[Mistake]:
     for index, spare in enumerate(settings.spare):
         where = ("spare", index, "path")
         yield from path_mistakes(spare.path, where, f"spare '{spare.name}': ", body)
+    for index, payload in enumerate(settings.payload):
+        for field, name in (("link", payload.link), ("name", payload.name)):
+            if name not in body.links:
+                hint = suggestion(name, body.links - {"", "world"})
+                yield Mistake(
+                    ("payload", index, field),
+                    f"payload '{payload.name}': no body '{name}' in {body.file}{hint}",
+                )
     yield from _angles(settings, body)
 
 

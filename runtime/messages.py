@@ -154,6 +154,21 @@ class ChainCommand(Message, frozen=True, kw_only=True):
     target_length_m: tuple[float, ...]
 
 
+class HandCommand(Message, frozen=True, kw_only=True):
+    """What a hand shall hold; with `holds` empty it opens."""
+
+    hand: str  # link of the body
+    holds: str  # payload of the robot file
+
+
+class HandState(Message, frozen=True, kw_only=True):
+    """What a hand holds, said in answer to each command."""
+
+    hand: str
+    asked: str  # what it was told to hold
+    holds: str  # "" when it is open, or closed on nothing
+
+
 # ── body schema ───────────────────────────────────────────────────────────────────────────────
 
 

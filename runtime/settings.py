@@ -101,11 +101,23 @@ class Growth(_Table, frozen=True, kw_only=True):
     residual_limit_mm: float = 4.0  # on held-out motion; above it a candidate is refused
 
 
+class Payload(_Table, frozen=True, kw_only=True):
+    """`[[payload]]`: a thing that a hand takes hold of. Services count with it while it is held."""
+
+    name: str  # of the MJCF body in the simulation
+    mass_kg: float
+    link: str  # MJCF body of the hand
+    position_m: tuple[float, float, float]  # of its centre of mass in the link's frame, when held
+
+
 class TaskPath(_Table, frozen=True, kw_only=True):
     """`[[task]]`: postures to go through, in order of the file's joints."""
 
     name: str
     targets_deg: tuple[tuple[float, ...], ...]
+    payload: str = ""  # what is carried ...
+    grasp_at: int = 0  # ... from this target on (the first is 1), once the arm has settled there
+    release_at: int = 0  # ... to this one
 
 
 class Simulation(_Table, frozen=True, kw_only=True):
@@ -128,6 +140,7 @@ class RobotSettings(_Table, frozen=True, kw_only=True):
     joint: tuple[Joint, ...]
     muscle: tuple[Muscle, ...]
     spare: tuple[Spare, ...] = ()
+    payload: tuple[Payload, ...] = ()
     task: tuple[TaskPath, ...] = ()
     module: Module = Module()
     control: Control = Control()

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from runtime.body_checks import body_mistakes
 from runtime.messages import METHODS
-from runtime.settings import Joint, Muscle, RobotSettings, Spare
+from runtime.settings import Joint, Muscle, RobotSettings, Spare, TaskPath
 from runtime.settings_file import Mistake, suggestion
 from runtime.toml_lines import KeyPath
 from runtime.wire.registers import BAUD_RATES, BY_NAME
@@ -67,6 +67,7 @@ RANGES = (
     _Range("growth", "bias_min_n"),
     _Range("growth", "bias_max_n"),
     _Range("growth", "residual_limit_mm"),
+    _Range("payload", "mass_kg", high=1000),
     _Range("simulation", "assembly_error_m", high=0.1, low_too=True),
     _Range("simulation", "tension_noise_n", low_too=True),
     _Range("simulation", "length_noise_m", low_too=True),
@@ -98,6 +99,7 @@ def _names(settings: RobotSettings) -> Iterator[Mistake]:
         ("joint", [(("joint", i, "name"), row.name) for i, row in enumerate(settings.joint)]),
         ("muscle", muscles),
         ("task", [(("task", i, "name"), row.name) for i, row in enumerate(settings.task)]),
+        ("payload", [(("payload", i, "name"), x.name) for i, x in enumerate(settings.payload)]),
     ):
         yield from _unique(kind, rows)
     for index, chain in enumerate(settings.chain):
@@ -252,3 +254,23 @@ def _tasks(settings: RobotSettings) -> Iterator[Mistake]:
                     f"task '{task.name}', target {step + 1} has {len(target)} angles, there are"
                     f" {count} joints: {', '.join(settings.joints)}",
                 )
+        yield from _carrying(settings, index, task)
+
+
+def _carrying(settings: RobotSettings, index: int, task: TaskPath) -> Iterator[Mistake]:
+    """Whether a task's grasp and release make sense."""
+    known = [payload.name for payload in settings.payload]
+    if task.payload and task.payload not in known:
+        yield Mistake(
+            ("task", index, "payload"),
+            f"task '{task.name}' carries '{task.payload}', which no [[payload]] names"
+            + suggestion(task.payload, known),
+        )
+    if not task.payload and not task.grasp_at and not task.release_at:
+        return
+    if not task.payload or not 1 <= task.grasp_at < task.release_at <= len(task.targets_deg):
+        yield Mistake(
+            ("task", index, "grasp_at" if task.grasp_at else "payload"),
+            f"task '{task.name}': payload, grasp_at and release_at go together, with 1 <= grasp_at"
+            f" < release_at <= {len(task.targets_deg)}, the number of its targets",
+        )

@@ -41,6 +41,8 @@ TOPICS = (
     Topic(m.ChainBody, "chain/{chain}/body", 0, Keep.RETAINED),
     Topic(m.ChainState, "chain/{chain}/state", 200),
     Topic(m.ChainCommand, "chain/{chain}/command", 100),
+    Topic(m.HandCommand, "hand/{hand}/command", 0, Keep.RETAINED),
+    Topic(m.HandState, "hand/{hand}/state", 0, Keep.RETAINED),
     Topic(m.JointState, "joint/state", 200),
     Topic(m.JointEstimate, "joint/estimate", 100),
     Topic(m.SchemaVersion, "schema", 0, Keep.RETAINED),

@@ -18,6 +18,7 @@ from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings
 from services.logic.arm import AUTHOR, Arm
 from services.logic.body import Body
+from services.logic.hands import Hands
 from services.logic.memory import Notebook
 
 MEASURE_S = 0.2  # the arm is called settled for this long at each target
@@ -37,6 +38,7 @@ class Executive:
         m.SchemaVersion,
         m.SchemaCandidate,
         m.TrainingProgress,
+        m.HandState,
     )
     requests: tuple[type[Message], ...] = (m.Task, m.Reach, m.Relearn)
     period_ns = 10_000_000
@@ -47,9 +49,11 @@ class Executive:
         self._tasks = {
             task.name: np.radians(np.array(task.targets_deg)) for task in settings.task
         } | {"park": np.radians(np.array([[joint.rest_deg for joint in settings.joint]]))}
+        self._carrying = {task.name: task for task in settings.task if task.payload}
         steps = {name: len(targets) for name, targets in self._tasks.items()}
         self._notebook = Notebook(store, steps, len(settings.joint))
         self._memory = self._notebook.memory
+        self.hands = Hands(settings.payload, skeleton, self._memory.holding)
         self._events: list[m.Event] = []
         self.body = Body(self.arm, self._notebook, seed, self._event)
         self._next_ns = 0
@@ -64,6 +68,8 @@ class Executive:
         """Take in what drivers and retrainer say."""
         if isinstance(message, (m.SchemaVersion, m.TrainingProgress)):
             self.body.receive(message)
+        elif isinstance(message, m.HandState):
+            self.hands.receive(message)
         else:
             self.arm.receive(message)
 
@@ -101,6 +107,7 @@ class Executive:
             if self._was_silent:
                 self.arm.anchor()
                 self._under_way = False
+            yield from self.hands.tick(now_ns, dt_s)
             self.body.watch(dt_s)
             self.arm.step(dt_s)
             stage = yield from self._act(now_ns, dt_s)
@@ -135,7 +142,7 @@ class Executive:
                 self.arm.go(np.array(memory.goal_rad))
             self._under_way = True
         rest = self.arm.resting_s() - self.settings.control.settle_s
-        if memory.task and rest >= MEASURE_S:
+        if memory.task and rest >= MEASURE_S and self._hands_done():
             targets = self._tasks[memory.task]
             memory.step += 1
             if memory.step < len(targets):
@@ -145,6 +152,29 @@ class Executive:
                 self._event("info", "task_done", f"task '{memory.task}' is done", task=memory.task)
                 memory.task, memory.step = "", 0
             self._notebook.save()
+
+    def _hands_done(self) -> bool:
+        """Grasp or release what the task does at this target; whether that has been done."""
+        memory, task = self._memory, self._carrying.get(self._memory.task)
+        if task is None or self.hands.busy:
+            return task is None
+        if self.hands.missed:
+            self.hands.missed = False
+            text = f"the hand closed on nothing where '{task.payload}' should be"
+            self._event("warning", "grasp_failed", text, payload=task.payload)
+            self._cancel("grasp_failed")
+            return False
+        if memory.step + 1 == task.grasp_at and self.hands.holding != task.payload:
+            self.hands.grasp(task.payload)
+            self._event("info", "grasp", f"taking '{task.payload}'", payload=task.payload)
+        elif memory.step + 1 == task.release_at and self.hands.holding:
+            self.hands.release()
+            self._event("info", "release", f"putting down '{task.payload}'", payload=task.payload)
+        else:
+            return True
+        memory.holding = task.payload if memory.step + 1 == task.grasp_at else ""
+        self._notebook.save()
+        return False
 
     # ── requests ──────────────────────────────────────────────────────────────────────────────
 

@@ -18,6 +18,7 @@ class Memory(msgspec.Struct):
     task: str = ""
     step: int = 0
     goal_rad: tuple[float, ...] = ()  # posture that is held or aimed at
+    holding: str = ""  # payload in the hand
     growth: GrowthRecord | None = None
     known: dict[str, int] = {}  # muscle -> serial number of modules that a schema has learned
     refused: list[str] = []  # muscles whose growth failed; tried again when plugged anew
@@ -55,4 +56,4 @@ def _fitting(memory: Memory, steps: Mapping[str, int], joints: int) -> Memory:
     task_fits = not memory.task or memory.step < steps.get(memory.task, 0)
     if task_fits and len(memory.goal_rad) in (0, joints):
         return memory
-    return Memory(known=memory.known)  # the robot file was changed
+    return Memory(known=memory.known, holding=memory.holding)  # the robot file was changed

@@ -35,10 +35,21 @@ class Skeleton:
         found = [self._model.joint(name) for name in joints]
         self._qpos = np.array([int(j.qposadr[0]) for j in found])
         self._dof = np.array([int(j.dofadr[0]) for j in found])
+        self._load_kg = 0.0
+        self._load_body, self._load_m = 0, np.zeros(3)
+        self._load_jacobian = np.zeros((3, self._model.nv))
         self.range_rad: Array = np.array([np.asarray(j.range) for j in found])
 
+    def carry(self, link: str, position_m: tuple[float, float, float], mass_kg: float) -> None:
+        """From now on a link carries a mass at a position in its frame; 0 kg: nothing."""
+        self._load_kg = mass_kg
+        self._load_body, self._load_m = self._model.body(link).id, np.array(position_m)
+
     def gravity_torque_nm(self, angle_rad: Array) -> Array:
-        """Torque that the muscles must produce to hold a posture at rest, shape (N,)."""
+        """Torque that the muscles must produce to hold a posture at rest, shape (N,).
+
+        What is carried counts: J^T m g, J of its centre of mass.
+        """
         self._data.qpos[self._qpos] = angle_rad
         mj.mj_kinematics(self._model, self._data)
         mj.mj_comPos(self._model, self._data)
@@ -46,4 +57,11 @@ class Skeleton:
         self._data.qvel[:] = 0.0
         mj.mj_comVel(self._model, self._data)
         mj.mj_rne(self._model, self._data, 0, self._data.qfrc_bias)
-        return self.gravity_scale * np.asarray(self._data.qfrc_bias[self._dof])
+        torque = self._data.qfrc_bias
+        if self._load_kg:
+            turn = self._data.xmat[self._load_body].reshape(3, 3)
+            centre_m = self._data.xpos[self._load_body] + turn @ self._load_m
+            jacobian = self._load_jacobian
+            mj.mj_jac(self._model, self._data, jacobian, None, centre_m, self._load_body)
+            torque = torque - self._load_kg * self._model.opt.gravity @ jacobian
+        return self.gravity_scale * np.asarray(torque[self._dof])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from experiments import learn
-from experiments.collect import SAMPLE_EVERY_MS, collect_old
+from experiments.collect import SAMPLE_EVERY_MS, _hand, collect_old
 from experiments.score import SweepScorer
 from runtime.messages import ExecutiveState, WorldTruth
 from runtime.settings import RobotSettings, TaskPath, load_robot
@@ -149,6 +149,22 @@ def options(out: Path | None, robot: str = "elbow") -> argparse.Namespace:
     learn.configure(parser)
     words = [robot, "--quick", "--seconds", "100", *(["--out", str(out)] if out else [])]
     return parser.parse_args(words)
+
+
+def test_a_body_of_many_wires_is_led_so_slowly_that_hardly_any_falls_slack() -> None:
+    arm = load_robot("musashi_arm")
+    recording = collect_old(arm, seed=1, duration_s=8.0)
+    assert recording.muscles == tuple(arm.muscles)
+    assert (recording.tension_n > SLACK_N).all(axis=1).mean() > 0.9
+    assert recording.tension_n.max() < arm.module.tension_limit_n
+    assert (np.ptp(recording.angle_rad, axis=0) > np.radians(10)).all()
+
+
+def test_a_light_joint_is_led_softly_and_the_elbow_as_ever() -> None:
+    stiffness, damping = _hand(np.array([0.041, 0.004, 0.4]))
+    assert stiffness == pytest.approx([300.0, 40.0, 300.0])
+    assert damping == pytest.approx([4.0, 0.4, 10.954], rel=1e-3)
+    assert (damping[1:] >= 0.99 * np.sqrt(stiffness * [0.041, 0.004, 0.4])[1:]).all()
 
 
 def test_learn_writes_a_schema_and_says_how_good_it_is(

@@ -216,6 +216,40 @@ def test_command_line_tells_it_without_a_traceback(
     assert line.startswith("myograft: robot.toml:")
 
 
+CUP = """
+[[payload]]
+name = "forearm"  # stands for a thing of the body file
+mass_kg = 0.3
+link = "upper_arm"
+position_m = [0, 0, 0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("task", "cup", "words"),
+    [
+        ("payload = 'forearm'\ngrasp_at = 1\nrelease_at = 3", CUP, ""),
+        ("payload = 'cup'\ngrasp_at = 1\nrelease_at = 3", CUP, "carries 'cup', which no [[payload"),
+        ("payload = 'forearm'\ngrasp_at = 3\nrelease_at = 3", CUP, "grasp_at < release_at <= 3"),
+        ("payload = 'forearm'\ngrasp_at = 1\nrelease_at = 4", CUP, "go together"),
+        ("payload = 'forearm'", CUP, "go together"),
+        ("grasp_at = 1\nrelease_at = 3", CUP, "go together"),
+        ("", CUP.replace("0.3", "0"), "payload 'forearm': mass_kg has to be above 0"),
+        ("", CUP.replace("upper_arm", "uper_arm"), "no body 'uper_arm' in elbow.xml; did you"),
+        ("", CUP.replace('"forearm"', '"cup"'), "payload 'cup': no body 'cup' in elbow.xml"),
+        ("", CUP + CUP, "a second payload is named 'forearm'"),
+    ],
+)
+def test_payloads(folder: Path, task: str, cup: str, words: str) -> None:
+    text = ROBOT.replace('name = "sweep"', f'name = "sweep"\n{task}') + cup
+    (folder / "robot.toml").write_text(text)
+    if not words:
+        assert load_robot("robot.toml").payload[0].mass_kg == 0.3
+        return
+    with pytest.raises(SettingsError, match=re.escape(words)):
+        load_robot("robot.toml")
+
+
 def test_the_unedited_file_is_right(folder: Path) -> None:
     (folder / "robot.toml").write_text(ROBOT)
     robot = load_robot("robot.toml")

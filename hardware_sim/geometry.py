@@ -1,0 +1,154 @@
+"""Where a body's wires run and what they do to its joints: the nominal body file, without a world.
+
+What a designer looks at before anything moves: lengths, moment arms, gravity. Nothing here is
+displaced, rubs or stretches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco as mj
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.messages import MusclePath
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Load:
+    """A point mass that a link carries."""
+
+    mass_kg: float
+    link: str
+    position_m: tuple[float, float, float]
+
+
+class Geometry:
+    """Rigid body of N joints and M wires.
+
+    Attributes:
+        joints: names of the N joints.
+        wires: names of the M wires: the file's tendons, then what was attached.
+        range_rad: (N, 2), joints' limits.
+        wire_sites: of each wire the sites on its way, in order.
+        mass_kg: of each link with a mass of its own, by name; not of things that lie about.
+    """
+
+    def __init__(
+        self,
+        body_file: Path,
+        joints: Sequence[str] = (),
+        attached: Sequence[tuple[str, MusclePath]] = (),
+        load: Load | None = None,
+    ) -> None:
+        """Read a body; `joints` are by default all hinges, `attached` wires come in addition.
+
+        Raises:
+            ValueError: the file is no body, or a name in it does not exist.
+        """
+        spec = mj.MjSpec.from_file(str(body_file))
+        for name, path in attached:
+            _attach(spec, name, path)
+        if load is not None:
+            _link(spec, load.link).add_geom(
+                type=mj.mjtGeom.mjGEOM_SPHERE,
+                size=[0.01, 0.0, 0.0],
+                pos=load.position_m,
+                mass=load.mass_kg,
+                contype=0,
+                conaffinity=0,
+            )
+        self._model = model = spec.compile()
+        self._data = mj.MjData(model)
+        hinges = [model.joint(i) for i in range(model.njnt)]
+        hinges = [joint for joint in hinges if joint.type[0] == mj.mjtJoint.mjJNT_HINGE]
+        self.joints = tuple(joints) or tuple(joint.name for joint in hinges)
+        found = [model.joint(name) for name in self.joints]
+        self._qpos = np.array([int(joint.qposadr[0]) for joint in found], dtype=int)
+        self._dof = np.array([int(joint.dofadr[0]) for joint in found], dtype=int)
+        limited = [model.jnt_limited[joint.id] for joint in found]
+        self.range_rad: Array = np.array(
+            [
+                np.asarray(joint.range) if known else (-np.pi, np.pi)
+                for joint, known in zip(found, limited, strict=True)
+            ]
+        ).reshape(-1, 2)
+        self.wires = tuple(model.tendon(i).name for i in range(model.ntendon))
+        self.wire_sites = tuple(_sites(model, i) for i in range(model.ntendon))
+        self.mass_kg = {
+            model.body(i).name: float(model.body_mass[i])
+            for i in range(1, model.nbody)
+            if model.body_mass[i] > 0.0 and not _lies_about(model, i)
+        }
+        self._rows = np.repeat(np.arange(model.ntendon), model.ten_J_rownnz)
+
+    def at(self, angle_rad: Array) -> tuple[Array, Array, Array]:
+        """What holds at a posture (N,).
+
+        Returns:
+            Lengths (M,) [m], their Jacobian dl/dtheta (M, N) [m/rad], and the torque (N,) [Nm] that
+            wires must produce to hold the posture at rest: against gravity, load included.
+        """
+        model, data = self._model, self._data
+        data.qpos[self._qpos] = angle_rad
+        mj.mj_kinematics(model, data)
+        mj.mj_comPos(model, data)
+        mj.mj_tendon(model, data)
+        mj.mj_crb(model, data)
+        mj.mj_comVel(model, data)
+        mj.mj_rne(model, data, 0, data.qfrc_bias)
+        jacobian = np.zeros((model.ntendon, model.nv))
+        jacobian[self._rows, model.ten_J_colind] = np.asarray(data.ten_J).reshape(-1)
+        return (
+            np.array(data.ten_length),
+            jacobian[:, self._dof],
+            np.array(data.qfrc_bias[self._dof]),
+        )
+
+    def site_m(self, site: str) -> Array:
+        """Position (3,) [m] of a site in its link's frame."""
+        return np.array(self._model.site(site).pos)
+
+    def move_site(self, site: str, position_m: Array) -> None:
+        """Put a site elsewhere on its link, at once and without compiling."""
+        self._model.site(site).pos = position_m
+
+
+def _link(spec: mj.MjSpec, name: str) -> mj.MjsBody:
+    body = spec.body(name)
+    if body is None:
+        raise ValueError(f"there is no link '{name}'")
+    return body
+
+
+def _attach(spec: mj.MjSpec, name: str, path: MusclePath) -> None:
+    tendon = spec.add_tendon(name=name)
+    for k, place in enumerate((path.attachment, *path.relays)):
+        if place.wrap:
+            tendon.wrap_geom(place.wrap, place.side)
+            continue
+        site = f"{name}/{k}"
+        _link(spec, place.link).add_site(name=site, pos=place.position_m)
+        tendon.wrap_site(site)
+
+
+def _lies_about(model: mj.MjModel, body: int) -> bool:
+    """Whether it belongs to something that is free: no part of the robot."""
+    root = int(model.body_rootid[body])
+    joint = int(model.body_jntadr[root])
+    return joint >= 0 and bool(model.jnt_type[joint] == mj.mjtJoint.mjJNT_FREE)
+
+
+def _sites(model: mj.MjModel, tendon: int) -> tuple[str, ...]:
+    first = int(model.tendon_adr[tendon])
+    wraps = range(first, first + int(model.tendon_num[tendon]))
+    return tuple(
+        model.site(int(model.wrap_objid[i])).name
+        for i in wraps
+        if model.wrap_type[i] == mj.mjtWrap.mjWRAP_SITE
+    )

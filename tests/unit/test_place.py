@@ -1,0 +1,38 @@
+"""The search for places of wires."""
+
+import numpy as np
+import pytest
+
+from experiments.place import Search, write_sites
+from runtime.settings import load_robot
+
+
+def test_the_search_only_improves_and_stays_in_its_boxes():
+    elbow = load_robot("elbow")
+    search = Search(elbow, box_m=0.01, load=1.2, seed=1)
+    start, drawn = search.score, search.places_m()
+    scores = []
+    for _ in range(30):
+        search.trial()
+        scores.append(search.score)
+    assert scores == sorted(scores, reverse=True)
+    assert scores[-1] < start
+    places = search.places_m()
+    assert places.keys() == drawn.keys()
+    for site, place in places.items():
+        assert np.abs(place - drawn[site]).max() <= 0.01 + 1e-12
+    assert search.check().share == 1.0
+
+
+def test_places_are_written_and_nothing_else_changes(tmp_path):
+    source = load_robot("elbow").body_file
+    file = tmp_path / "elbow.xml"
+    before = source.read_text()
+    file.write_text(before)
+    write_sites(file, {"triceps_origin": np.array([0.1, -0.2, 0.30001])})
+    old, new = before.splitlines(), file.read_text().splitlines()
+    changed = [i for i, (a, b) in enumerate(zip(old, new, strict=True)) if a != b]
+    assert len(changed) == 1
+    assert '<site name="triceps_origin" pos="0.1000 -0.2000 0.3000"/>' in new[changed[0]]
+    with pytest.raises(ValueError, match="0 sites 'nowhere'"):
+        write_sites(file, {"nowhere": np.zeros(3)})
