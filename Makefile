@@ -19,6 +19,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt torch
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt \
 		--editable ".[sim,learn,view,cluster,dev]"
+	$(BIN)/python -c "import hardware_sim.robot"  # compiles, so that the first start need not
 	touch $@
 
 demo: setup  ## the whole story in one go: three muscles, a fourth is plugged in, the arm relearns

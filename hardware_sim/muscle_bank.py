@@ -1,4 +1,4 @@
-"""The control loops of all muscle modules of one robot, vectorised: tension and length to speed.
+"""The control loops of all muscle modules of one robot: tension and length to speed.
 
 Each module runs the paper's muscle stiffness control, f_ref = f_bias + k_stiff (l - l_ref), and a
 tension loop that winds or pays out wire until the load cell reads f_ref. Around it stand what keeps
@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware_sim.muscle_rows import ROWS, Array, MuscleRows
+from hardware_sim.compiled import INTEGER, NUMBER, VECTOR, compiled, records
+from hardware_sim.muscle_rows import MUSCLE, ROWS, Array, MuscleRows
 from runtime.wire.registers import HardwareError, Status
 
 # The elastic element stiffens with tension, so the loop's gain falls with it: a slack wire is wound
@@ -38,12 +39,6 @@ DERATE_MIN = 0.3
 CHECK_NS = 5_000_000  # watchdog and temperatures are slow: looked at every 5 ms
 # A target's speed is measured by the packets' stamps, over at least this long.
 TARGET_WINDOW_NS = 10_000_000
-
-# numpy takes an array of no dimension at half the price of a float
-_SLACK_REFERENCE_N = np.array(SLACK_REFERENCE_N)
-_GAIN_HALVES_AT_N = np.array(GAIN_HALVES_AT_N)
-_LOAD_CELL_LOW_N = np.array(LOAD_CELL_N[0])
-_NOTHING, _ONE = np.array(0.0), np.array(1.0)
 
 
 class Mode(IntEnum):
@@ -79,7 +74,6 @@ class MuscleBank(MuscleRows):
     def set_column(self, index: int, column: dict[str, Any]) -> None:
         """As `MuscleRows.set_column`; the loop goes on in the mode that was saved."""
         super().set_column(index, column)
-        self._limits_changed()
         self._drive(index)
 
     def step(
@@ -98,48 +92,23 @@ class MuscleBank(MuscleRows):
             now_ns: robot time.
 
         Returns:
-            Winding speeds [m/s], (M,), positive pays out wire; overwritten by the next call.
+            Winding speeds [m/s], (M,), positive pays out wire.
         """
         self.now_ns = now_ns
-        tension, length = self.tension_n, self.length_m
-        reference, speed, guard, divisor = self._buffers
-        ahead = LOOK_AHEAD_S / dt_s
-        np.multiply(tension, -GUARD_GAIN_M_S_N * ahead, out=guard)
-        np.subtract(tension_n, self.tension_tare_n, out=tension)
-        np.subtract(length_m, self.length_zero_m, out=length)
         if now_ns >= self._next_check_ns:
+            self._next_check_ns = now_ns + CHECK_NS
             self.temperature_degc[:] = temperature_degc
-            self._check(now_ns)
-
-        np.subtract(length, self.target_length_m, out=reference)
-        reference *= self.stiffness_n_m
-        reference += self.bias_n
-        np.minimum(reference, self._ceiling_n, out=reference)
-        np.maximum(reference, _SLACK_REFERENCE_N, out=reference)
-        np.subtract(tension, reference, out=speed)
-        speed *= self._gain
-        np.add(tension, _GAIN_HALVES_AT_N, out=divisor)
-        np.maximum(divisor, _GAIN_HALVES_AT_N, out=divisor)
-        speed /= divisor
-        if self._stops:
-            speed += self._pay_out_m_s
-
-        # gain (f + ahead (f - f_before) - guard), f_before's part is there already
-        np.multiply(tension, GUARD_GAIN_M_S_N * (1.0 + ahead), out=divisor)
-        guard += divisor
-        guard -= self._guard_m_s
-        np.maximum(speed, guard, out=speed)  # in every mode: a brake slips, too
-        np.minimum(speed, self.winding_speed_limit_m_s, out=speed)
-        np.maximum(speed, self._winding_limit_m_s, out=speed)
-        if self._stops:
-            self._watch_stop()
+            if _odd(self._table, tension_n, now_ns):
+                self._judge(tension_n - self.tension_tare_n)
+        speed = np.empty(len(self))
+        _run_loops(self._table, dt_s, tension_n, length_m, speed)
         return speed
 
     def capped(self, index: int) -> bool:
         """Whether the stiffness law asks for more tension than is allowed."""
         stretch = self.length_m.item(index) - self.target_length_m.item(index)
         wanted = self.bias_n.item(index) + self.stiffness_n_m.item(index) * stretch
-        return wanted > self._ceiling_n.item(index)
+        return wanted > self._ceiling_n(index)
 
     # ── what a module is told ────────────────────────────────────────────────────────────────
 
@@ -167,7 +136,6 @@ class MuscleBank(MuscleRows):
         elif row == "tension_tare_n":
             self.tension_n[index] += self.tension_tare_n[index] - value
         getattr(self, row)[index] = value
-        self._limits_changed()
 
     def set_torque(self, index: int, on: bool) -> None:
         """Obey goals, or brake."""
@@ -194,27 +162,12 @@ class MuscleBank(MuscleRows):
                      "watchdog_s", "hardware_error", "derating", "overload_s",
                      "target_since_ns"):  # fmt: skip
             getattr(self, name)[index] = ROWS[name]
-        self._limits_changed()
         self._drive(index)
 
     # ── inside ───────────────────────────────────────────────────────────────────────────────
 
-    def _use(self, table: Array) -> None:
-        super()._use(table)
-        count = len(self)
-        self._buffers = tuple(np.zeros((4, count)))
-        self._gain, self._pay_out_m_s, self._patience_ns = np.zeros((3, count))
-        self._limits_changed()
-        for index in range(count):
-            self._set_drive(index)
-            self._set_patience(index)
-        self._count_stops()
-
-    def _limits_changed(self) -> None:
-        self._guard_n = GUARD * self.tension_limit_n
-        self._guard_m_s = GUARD_GAIN_M_S_N * self._guard_n
-        self._ceiling_n = self._guard_n * self.derating
-        self._winding_limit_m_s = -self.winding_speed_limit_m_s
+    def _ceiling_n(self, index: int) -> float:
+        return GUARD * self.tension_limit_n.item(index) * self.derating.item(index)
 
     def _drive(self, index: int) -> None:
         """Find the mode from its causes, the gravest first, and set the loop to it."""
@@ -228,11 +181,8 @@ class MuscleBank(MuscleRows):
         else:
             mode = Mode.FOLLOWING
         self.mode[index] = mode
-        self._set_patience(index)
         if mode == Mode.FOLLOWING and before != Mode.FOLLOWING:
             self._start_following(index)
-        self._set_drive(index)
-        self._count_stops()
 
     def _start_following(self, index: int) -> None:
         """Begin at the tension that is there, so that enabling torque moves nothing.
@@ -240,65 +190,33 @@ class MuscleBank(MuscleRows):
         The X series does the like: enabling torque sets the goal to the present position.
         """
         stiffness = self.stiffness_n_m[index]
-        tension = min(max(self.tension_n[index], 0.0), self._ceiling_n[index])
+        tension = min(max(self.tension_n[index], 0.0), self._ceiling_n(index))
         stretch = (tension - self.bias_n[index]) / stiffness if stiffness > 0.0 else 0.0
         self.target_length_m[index] = self.length_m[index] - stretch
         self.target_since_ns[index] = -1
 
-    def _set_drive(self, index: int) -> None:
-        mode = self.mode[index]
-        gain = GAIN_M_S_N * GAIN_HALVES_AT_N  # to be divided by 40 N and the tension
-        self._gain[index] = gain if mode == Mode.FOLLOWING else 0.0
-        self._pay_out_m_s[index] = STOP_SPEED_M_S if mode == Mode.STOPPING else 0.0
+    def _judge(self, tension_n: Array) -> None:
+        """Act on who has not been spoken to, is too hot, pulls too hard or reads what cannot be."""
+        silent = self.now_ns - self.heard_ns > self.watchdog_s * 1e9
+        silent &= (self.watchdog_s > 0.0) & (self.torque > 0.0) & (self.tripped == 0.0)
+        for index in np.flatnonzero(silent).tolist():
+            self.tripped[index] = 1.0
+            self._drive(index)
 
-    def _set_patience(self, index: int) -> None:
-        watched = self.watchdog_s[index] and self.torque[index] and not self.tripped[index]
-        self._patience_ns[index] = self.watchdog_s[index] * 1e9 if watched else np.inf
-
-    def _count_stops(self) -> None:
-        self._stops = bool(self.stop.any())
-
-    def _watch_stop(self) -> None:
-        for index in np.flatnonzero(self.stop).tolist():
-            tension = self.tension_n[index]
-            if self.mode[index] == Mode.STOPPING and tension < STOP_TENSION_N:
-                self.mode[index] = Mode.STOPPED
-            elif self.mode[index] == Mode.STOPPED and tension > RESUME_TENSION_N:
-                self.mode[index] = Mode.STOPPING
-            self._set_drive(index)
-
-    def _check(self, now_ns: int) -> None:
-        self._next_check_ns = now_ns + CHECK_NS
-        silent = now_ns - self.heard_ns > self._patience_ns
-        if any(silent.tolist()):
-            for index in np.flatnonzero(silent).tolist():
-                self.tripped[index] = 1.0
-                self._drive(index)
-        odd = self.temperature_degc > self.temperature_limit_degc
-        odd |= self.derating < _ONE
-        odd |= self.tension_n > self.tension_limit_n
-        odd |= self.tension_n < _LOAD_CELL_LOW_N
-        odd |= self.overload_s > _NOTHING
-        if any(odd.tolist()):
-            self._judge()
-
-    def _judge(self) -> None:
-        """Act on what is too hot, pulls too hard or reads what cannot be."""
         elapsed_s = CHECK_NS * 1e-9
         hot = self.temperature_degc > self.temperature_limit_degc
         cool = self.temperature_degc < self.temperature_limit_degc - COOLED_DEGC
         if hot.any() or (self.derating < 1.0).any():
             change = DERATE_1_S * elapsed_s * (cool.astype(float) - hot)
             np.minimum(np.maximum(self.derating + change, DERATE_MIN), 1.0, out=self.derating)
-            self._ceiling_n = self._guard_n * self.derating
             self._raise(hot, HardwareError.OVERHEATING)
 
-        over = self.tension_n > self.tension_limit_n
+        over = tension_n > self.tension_limit_n
         self.overload_s[:] = np.where(over, self.overload_s + elapsed_s, 0.0)
         if over.any():
             self._raise(self.overload_s > OVERLOAD_S, HardwareError.OVERLOAD)
         low, limits = LOAD_CELL_N
-        broken = (self.tension_n < low) | (self.tension_n > limits * self.tension_limit_n)
+        broken = (tension_n < low) | (tension_n > limits * self.tension_limit_n)
         if broken.any():
             self._raise(broken, HardwareError.LOAD_CELL)
 
@@ -308,3 +226,58 @@ class MuscleBank(MuscleRows):
             if not bits & error:
                 self.hardware_error[index] = bits | error
                 self._drive(index)
+
+
+@compiled(records(MUSCLE), VECTOR, INTEGER)
+def _odd(muscles: Any, load_n: Array, now_ns: int) -> bool:
+    """Whether `_judge` has to look at any of the muscles."""
+    for i in range(len(muscles)):
+        muscle = muscles[i]
+        tension = load_n[i] - muscle.tension_tare_n
+        watched = muscle.watchdog_s > 0.0 and muscle.torque > 0.0 and muscle.tripped == 0.0
+        if (
+            (watched and now_ns - muscle.heard_ns > muscle.watchdog_s * 1e9)
+            or muscle.temperature_degc > muscle.temperature_limit_degc
+            or muscle.derating < 1.0
+            or tension > muscle.tension_limit_n
+            or tension < LOAD_CELL_N[0]
+            or muscle.overload_s > 0.0
+        ):
+            return True
+    return False
+
+
+@compiled(records(MUSCLE), NUMBER, VECTOR, VECTOR, VECTOR)
+def _run_loops(
+    muscles: Any, dt_s: float, load_n: Array, encoder_m: Array, speed_m_s: Array
+) -> None:
+    """Readings in, winding speeds out."""
+    ahead = LOOK_AHEAD_S / dt_s
+    for i in range(len(muscles)):
+        muscle = muscles[i]
+        before = muscle.tension_n
+        tension = load_n[i] - muscle.tension_tare_n
+        length = encoder_m[i] - muscle.length_zero_m
+        muscle.tension_n, muscle.length_m = tension, length
+        guard = GUARD * muscle.tension_limit_n
+        mode = int(muscle.mode)
+
+        speed = 0.0
+        if mode == Mode.FOLLOWING:
+            reference = muscle.stiffness_n_m * (length - muscle.target_length_m) + muscle.bias_n
+            reference = max(min(reference, guard * muscle.derating), SLACK_REFERENCE_N)
+            loop = GAIN_M_S_N * GAIN_HALVES_AT_N * (tension - reference)
+            speed = loop / max(tension + GAIN_HALVES_AT_N, GAIN_HALVES_AT_N)
+        elif mode == Mode.STOPPING:
+            speed = STOP_SPEED_M_S
+
+        # gain (f + ahead (f - f_before) - guard), in every mode: a brake slips, too
+        slip = GUARD_GAIN_M_S_N * (1.0 + ahead) * tension - GUARD_GAIN_M_S_N * ahead * before
+        speed = max(speed, slip - GUARD_GAIN_M_S_N * guard)
+        limit = muscle.winding_speed_limit_m_s
+        speed_m_s[i] = max(min(speed, limit), -limit)
+
+        if mode == Mode.STOPPING and tension < STOP_TENSION_N:
+            muscle.mode = Mode.STOPPED.value
+        elif mode == Mode.STOPPED and tension > RESUME_TENSION_N:
+            muscle.mode = Mode.STOPPING.value

@@ -1,4 +1,7 @@
-"""What muscle modules remember, as one table: a row is a quantity, a column is a module."""
+"""What muscle modules remember, as one table: a row is a quantity, a column is a module.
+
+The table lies in memory module by module, as `_run_loops` in `muscle_bank.py` goes through it.
+"""
 
 from __future__ import annotations
 
@@ -35,6 +38,7 @@ ROWS = {  # row of the table -> its value in a new module
     "target_since_ns": -1.0,
     "target_from_m": 0.0,
 }
+MUSCLE = np.dtype([(name, np.float64) for name in ROWS])
 
 
 class _Indexed(Protocol):
@@ -74,20 +78,20 @@ class MuscleRows:
 
     def __init__(self) -> None:
         self._holders: list[_Indexed] = []
-        self._use(np.zeros((len(ROWS), 0)))
+        self._use(np.zeros(0, MUSCLE))
 
     def __len__(self) -> int:
         return len(self.bias_n)
 
     def add(self, **values: float) -> int:
         """One more module, torque off; `values` set rows by name. Returns its index."""
-        column = np.array([[{**ROWS, **values}[name]] for name in ROWS])
-        self._use(np.concatenate((self._table, column), axis=1))
+        column = tuple({**ROWS, **values}[name] for name in ROWS)
+        self._use(np.append(self._table, np.array(column, MUSCLE)))
         return len(self) - 1
 
     def remove(self, index: int) -> None:
         """Take a module out; those behind it move up by one."""
-        self._use(np.delete(self._table, index, axis=1))
+        self._use(np.delete(self._table, index))
         self._holders = [holder for holder in self._holders if holder.index != index]
         for holder in self._holders:
             holder.index -= holder.index > index
@@ -98,14 +102,13 @@ class MuscleRows:
 
     def column(self, index: int) -> dict[str, float]:
         """All that one module remembers, to be saved; see `set_column`."""
-        return dict(zip(ROWS, self._table[:, index].tolist(), strict=True))
+        return dict(zip(ROWS, self._table[index].tolist(), strict=True))
 
     def set_column(self, index: int, column: dict[str, Any]) -> None:
         """Give a module back what `column` saved."""
-        for row, name in enumerate(ROWS):
-            self._table[row, index] = column[name]
+        self._table[index] = tuple(column[name] for name in ROWS)
 
-    def _use(self, table: Array) -> None:
+    def _use(self, table: NDArray[np.void]) -> None:
         self._table = table
-        for row, name in enumerate(ROWS):
-            setattr(self, name, table[row])
+        for name in ROWS:
+            setattr(self, name, table[name])

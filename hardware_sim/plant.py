@@ -206,6 +206,8 @@ class Plant:
             "friction_n": self._friction_n.tolist(),
             "speed_m_s": self.drive.speed_m_s.tolist(),
             "temperature_degc": self.drive.temperature_degc.tolist(),
+            "peak_speed_m_s": self.drive.peak_speed_m_s.tolist(),
+            "peak_tension_n": self.drive.peak_tension_n.tolist(),
             "ruptured": sorted(self.ruptured),
             "held": dict(self.grasp.held),
         }
@@ -229,6 +231,8 @@ class Plant:
         self._friction_n[:] = snapshot["friction_n"]
         self.drive.speed_m_s[:] = snapshot["speed_m_s"]
         self.drive.temperature_degc[:] = snapshot["temperature_degc"]
+        self.drive.peak_speed_m_s[:] = snapshot["peak_speed_m_s"]
+        self.drive.peak_tension_n[:] = snapshot["peak_tension_n"]
         mj.mj_fwdPosition(self.model, self.data)
 
     # ── inside ────────────────────────────────────────────────────────────────────────────────

@@ -65,7 +65,6 @@ class SimulatedRobot:
         self._cell_offset_n = np.zeros(0)
         self._encoder_offset_m = np.zeros(0)
         self._tension_n = np.zeros(0)
-        self._peaks = np.zeros((2, 0))
         self._stuck: dict[str, float] = {}  # what a stuck load cell [N] or angle sensor [rad] says
         self._assemble()
 
@@ -85,9 +84,6 @@ class SimulatedRobot:
         speed = self.bank.step(DT_S, load, length, temperature, self.now_ns)
         plant.act(speed, tension)
         self._tension_n = tension
-        peak_n, peak_m_s = self._peaks
-        np.maximum(peak_n, tension, out=peak_n)
-        np.maximum(peak_m_s, np.abs(plant.drive.speed_m_s), out=peak_m_s)
         self.now_ns += STEP_NS
 
     def exchange(self, request: m.BusRequest) -> tuple[m.BusReply, int]:
@@ -169,7 +165,6 @@ class SimulatedRobot:
         self._cell_offset_n = np.delete(self._cell_offset_n, index)
         self._encoder_offset_m = np.delete(self._encoder_offset_m, index)
         self._noise = NO_NOISE
-        self._peaks = np.delete(self._peaks, index, axis=1)
         self._tension_n = np.delete(self._tension_n, index)
         return m.Event(
             stamp_ns=self.now_ns,
@@ -245,8 +240,8 @@ class SimulatedRobot:
             muscles=tuple(self.plant.wires),
             tension_n=tuple(self._tension_n.tolist()),
             length_m=tuple(self.plant.wire_length_m.tolist()),
-            peak_tension_n=tuple(self._peaks[0].tolist()),
-            peak_speed_m_s=tuple(self._peaks[1].tolist()),
+            peak_tension_n=tuple(self.plant.drive.peak_tension_n.tolist()),
+            peak_speed_m_s=tuple(self.plant.drive.peak_speed_m_s.tolist()),
             peak_target_speed_m_s=tuple(self.bank.peak_target_speed_m_s.tolist()),
         )
 
@@ -266,7 +261,6 @@ class SimulatedRobot:
             "cell_offset_n": self._cell_offset_n.tolist(),
             "encoder_offset_m": self._encoder_offset_m.tolist(),
             "tension_n": self._tension_n.tolist(),
-            "peaks": self._peaks.tolist(),
             "faults": [tuple(fault) for fault in self.faults.active],
             "stuck": dict(self._stuck),
         }
@@ -295,7 +289,6 @@ class SimulatedRobot:
         self._encoder_offset_m = np.array(snapshot["encoder_offset_m"])
         self._noise = NO_NOISE
         self._tension_n = np.array(snapshot["tension_n"])
-        self._peaks = np.array(snapshot["peaks"])
         self.faults.clear()
         for kind, target, amount in snapshot["faults"]:
             self.faults.set(kind, target, amount)
@@ -386,7 +379,6 @@ class SimulatedRobot:
         self._cell_offset_n = np.append(self._cell_offset_n, offset)
         self._encoder_offset_m = np.append(self._encoder_offset_m, 0.0)
         self._tension_n = np.append(self._tension_n, 0.0)
-        self._peaks = np.append(self._peaks, np.zeros((2, 1)), axis=1)
         return module
 
 

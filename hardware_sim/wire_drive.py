@@ -8,8 +8,12 @@ not public for the robots we model.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+
+from hardware_sim.compiled import NUMBER, VECTOR, compiled, records
 
 Array = NDArray[np.float64]
 
@@ -18,73 +22,66 @@ STALL_TENSION_N = 450.0  # tension at which the motor can no longer wind (assume
 HEATING_DEGC_N2 = 0.0075  # steady rise per squared tension: 27 degC at 60 N (assumed)
 THERMAL_TIME_S = 240.0  # of the winding (assumed)
 
-# numpy takes an array of no dimension at half the price of a float
-_NOTHING = np.array(0.0)
+MOTOR = np.dtype(
+    [
+        ("speed_m_s", np.float64),
+        ("temperature_degc", np.float64),
+        ("peak_speed_m_s", np.float64),
+        ("peak_tension_n", np.float64),
+    ]
+)
 
 
 class WireDrive:
-    """Motors of M wires. Arrays have shape (M,) and grow by `add`.
+    """Motors of M wires. Arrays have shape (M,), and are stale after `add` and `remove`.
 
     Attributes:
         speed_m_s: wire paid out per second; negative winds.
         temperature_degc: of the motor windings.
+        peak_speed_m_s, peak_tension_n: greatest so far; of speed, either way.
     """
 
     def __init__(self, count: int, speed_limit_m_s: float, ambient_degc: float) -> None:
         self.ambient_degc = ambient_degc
-        self._limit_m_s = np.array(speed_limit_m_s)
-        self._slowing_m_s_n = np.array(speed_limit_m_s / STALL_TENSION_N)
-        self.speed_m_s = np.zeros(count)
-        self.temperature_degc = np.full(count, ambient_degc)
-        self._resize()
+        self._limit_m_s = speed_limit_m_s
+        self._use(np.array([(0.0, ambient_degc, 0.0, 0.0)] * count, MOTOR))
 
     def add(self) -> None:
         """One more motor, at rest and cold."""
-        self.speed_m_s = np.append(self.speed_m_s, 0.0)
-        self.temperature_degc = np.append(self.temperature_degc, self.ambient_degc)
-        self._resize()
+        new = np.array([(0.0, self.ambient_degc, 0.0, 0.0)], MOTOR)
+        self._use(np.append(self._motors, new))
 
     def remove(self, index: int) -> None:
         """Take one motor away."""
-        self.speed_m_s = np.delete(self.speed_m_s, index)
-        self.temperature_degc = np.delete(self.temperature_degc, index)
-        self._resize()
+        self._use(np.delete(self._motors, index))
 
     def step(self, dt_s: float, command_m_s: Array, tension_n: Array) -> Array:
         """Follow winding-speed commands for `dt_s`.
 
         Returns:
-            The wire paid out [m], (M,); overwritten by the next call.
+            The wire paid out [m], (M,).
         """
-        speed, change, winding = self.speed_m_s, self._change, self._winding
-        np.subtract(command_m_s, speed, out=change)
-        change *= dt_s / (LAG_S + dt_s)
-        speed += change
-        np.multiply(tension_n, self._slowing_m_s_n, out=winding)
-        winding -= self._limit_m_s
-        np.minimum(winding, _NOTHING, out=winding)  # at stall it winds no more
-        np.maximum(speed, winding, out=speed)
-        np.minimum(speed, self._limit_m_s, out=speed)
-        return np.multiply(speed, dt_s, out=change)
+        paid_out_m = np.empty(len(self._motors))
+        _wind(self._motors, dt_s, self._limit_m_s, command_m_s, tension_n, paid_out_m)
+        return paid_out_m
 
     def warm(self, dt_s: float, tension_n: Array) -> None:
         """Let the windings warm or cool for `dt_s`, short against `THERMAL_TIME_S`."""
         rise = HEATING_DEGC_N2 * tension_n * tension_n + self.ambient_degc - self.temperature_degc
         self.temperature_degc += rise * (dt_s / THERMAL_TIME_S)
 
-    def _resize(self) -> None:
-        self._change, self._winding = np.zeros((2, len(self.speed_m_s)))
+    def _use(self, motors: NDArray[np.void]) -> None:
+        self._motors = motors
+        self.speed_m_s = motors["speed_m_s"]
+        self.temperature_degc = motors["temperature_degc"]
+        self.peak_speed_m_s = motors["peak_speed_m_s"]
+        self.peak_tension_n = motors["peak_tension_n"]
 
 
 def elastic_tension_n(stretch_m: Array, curve: tuple[float, float, float]) -> Array:
     """Tension of the elastic element at a stretch; a slack wire carries none. Shape (M,)."""
-    a, b, c = curve
-    e = np.maximum(stretch_m, _NOTHING)
-    tension: Array = e * c
-    tension += b
-    tension *= e
-    tension += a
-    tension *= e
+    tension = np.empty(len(stretch_m))
+    _stretch(stretch_m, *curve, tension)
     return tension
 
 
@@ -93,3 +90,30 @@ def elastic_stretch_m(tension_n: float, curve: tuple[float, float, float]) -> fl
     a, b, c = curve
     roots = np.roots([c, b, a, -tension_n])
     return float(min(r.real for r in roots if abs(r.imag) < 1e-9 and r.real >= -1e-12))
+
+
+@compiled(records(MOTOR), NUMBER, NUMBER, VECTOR, VECTOR, VECTOR)
+def _wind(
+    motors: Any,
+    dt_s: float,
+    limit_m_s: float,
+    command_m_s: Array,
+    tension_n: Array,
+    paid_out_m: Array,
+) -> None:
+    for i in range(len(motors)):
+        motor = motors[i]
+        change = (command_m_s[i] - motor.speed_m_s) * (dt_s / (LAG_S + dt_s))
+        winding = tension_n[i] * (limit_m_s / STALL_TENSION_N) - limit_m_s
+        speed = max(motor.speed_m_s + change, min(winding, 0.0))  # at stall it winds no more
+        motor.speed_m_s = speed = min(speed, limit_m_s)
+        paid_out_m[i] = speed * dt_s
+        motor.peak_speed_m_s = max(motor.peak_speed_m_s, abs(speed))
+        motor.peak_tension_n = max(motor.peak_tension_n, tension_n[i])
+
+
+@compiled(VECTOR, NUMBER, NUMBER, NUMBER, VECTOR)
+def _stretch(stretch_m: Array, a: float, b: float, c: float, tension_n: Array) -> None:
+    for i in range(len(stretch_m)):
+        e = max(stretch_m[i], 0.0)
+        tension_n[i] = ((c * e + b) * e + a) * e

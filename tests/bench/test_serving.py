@@ -87,9 +87,12 @@ def test_a_driver_cycle(settings: RobotSettings) -> None:
     tell("driver cycle, 3 muscles, 1 joint", 1e6 * median(cycles), 150, "us")
 
 
-def test_a_step_of_the_world(settings: RobotSettings) -> None:
+@pytest.mark.parametrize(("wires", "budget_us"), [(4, 40), (11, 40), (74, 80)])
+def test_a_step_of_the_world(settings: RobotSettings, wires: int, budget_us: float) -> None:
     robot = SimulatedRobot(settings)
-    robot.plug(m.Plug(muscle=settings.spare[0].name))
-    assert len(robot.plant.wires) == 4
+    path = settings.spare[0].path
+    for number in range(wires - len(robot.plant.wires)):
+        assert robot.plug(m.Plug(muscle=f"more_{number}", path=path)).kind == "plugged"
+    assert len(robot.plant.wires) == wires
     print()
-    tell("step of the world, 4 wires", p50_us(robot.step, 5000), 40, "us")
+    tell(f"step of the world, {wires} wires", p50_us(robot.step, 5000), budget_us, "us")
