@@ -53,7 +53,7 @@ class Executive:
         steps = {name: len(targets) for name, targets in self._tasks.items()}
         self._notebook = Notebook(store, steps, len(settings.joint))
         self._memory = self._notebook.memory
-        self.hands = Hands(settings.payload, skeleton, self._memory.holding)
+        self.hands = Hands(settings.payload, arm.skeleton, self._memory.holding)
         self._events: list[m.Event] = []
         self.body = Body(self.arm, self._notebook, seed, self._event)
         self._next_ns = 0
