@@ -26,6 +26,7 @@ from runtime.settings import RobotSettings
 from services.body_schema.control import Plan, plan
 from services.body_schema.model import BodyModel
 from services.body_schema.schema import Schema
+from services.logic.guests import Guests
 from services.logic.motion import Path, min_jerk
 from services.logic.skeleton import Skeleton
 from services.logic.wiring import served
@@ -36,11 +37,8 @@ AUTHOR = "executive"
 STALE_NS = 100_000_000  # sensor data older than this are silence
 LEASE_NS = 200_000_000
 FADE_S = 0.8
-GUEST_BIAS_N = 5.0
-GUEST_RATE_N_S = 60.0  # how fast a guest's tension changes
 FELT_S = 0.1  # time constant of what the model is found to be off by
 CORRECT_S = 0.5  # in which that comes into effect, or goes
-GUEST_TORQUE_S = 0.12  # time constant of the estimate of what guests do to the joints
 
 
 class Arm:
@@ -54,9 +52,7 @@ class Arm:
         self.plan: Plan | None = None
         self.excluded: set[str] = set()  # schema muscles that must not be relied on
         self.corrected = False  # whether lengths follow what the model is found to be off by
-        self.guest_bias_n: dict[str, float] = {}  # what guests shall pull with, by and by
-        self._guest_now_n: dict[str, float] = {}
-        self._guest_torque_nm = np.zeros(len(settings.joints))
+        self.guests = Guests(settings, skeleton)
         self._bodies: dict[str, ChainBody] = {}
         self._states: dict[str, ChainState] = {}
         self._angles: dict[str, tuple[float, int]] = {}  # joint -> angle [rad], stamp
@@ -130,11 +126,8 @@ class Arm:
         """Control by this from now on; commands cross-fade."""
         self.schema = schema
         self.excluded &= set(schema.muscles)
-        for name in schema.muscles:
-            self.guest_bias_n.pop(name, None)
-            self._guest_now_n.pop(name, None)
+        self.guests.take_in(schema.muscles)
         self.plan = None
-        self._guest_torque_nm[:] = 0.0
         self._off_m.clear()
         self._correction = 0.0
         if self.path is not None:
@@ -191,7 +184,7 @@ class Arm:
         usable = self._usable(felt)
         there = np.array([name in usable for name in self.schema.muscles])
         ceiling = np.where(there, self.settings.control.tension_ceiling_n, 0.0)
-        self._feel_guests(felt, dt_s)
+        self.guests.feel(self.schema, self.angle_rad, felt, dt_s)
         self.plan = self.planned(theta, np.minimum(floor, ceiling), ceiling)
         self._feel_errors(felt, dt_s)
         self._aim(felt, dt_s)
@@ -202,7 +195,7 @@ class Arm:
         return plan(
             self.schema,
             theta,
-            self.skeleton.gravity_torque_nm(theta) - self._guest_torque_nm,
+            self.skeleton.gravity_torque_nm(theta) - self.guests.torque_nm,
             floor_n,
             ceiling_n,
             None if self.plan is None else self.plan.tension_n,
@@ -230,23 +223,6 @@ class Arm:
             off = felt[name][0] - length
             self._off_m[name] = self._off_m.get(name, off) * (1.0 - share) + off * share
 
-    def _feel_guests(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
-        """What guests do to the joints [Nm], from what is left of the balance of torques.
-
-        At rest gravity, known muscles and guests balance: the first two are known. The old
-        muscles then carry the guest, instead of being pushed aside and falling slack.
-        """
-        assert self.schema is not None
-        known = self.schema.muscles
-        if all(name in known for name in felt) or any(name not in felt for name in known):
-            self._guest_torque_nm[:] = 0.0
-            return
-        theta = self.angle_rad
-        tension = np.array([max(felt[name][1], 0.0) for name in known])
-        jacobian = self.schema.lengths_jacobian(theta, tension)  # (M, N)
-        torque = self.skeleton.gravity_torque_nm(theta) + tension @ jacobian
-        self._guest_torque_nm += (torque - self._guest_torque_nm) * min(dt_s / GUEST_TORQUE_S, 1.0)
-
     def _aim(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
         """Targets for all muscles: the plan, the fading offset, and never faster than the motor."""
         assert self.schema is not None and self.plan is not None
@@ -269,19 +245,13 @@ class Arm:
         for name in felt:
             if name not in planned:
                 targets[name] = felt[name][0]  # without stiffness it means nothing: follow
-                self._lead_guest(name, dt_s)
+                self.guests.lead(name, dt_s)
                 continue
             target = planned[name][1] + share * self._offset_m.get(name, 0.0)
             target += self._correction * self._off_m.get(name, 0.0)
             last = self._target_m.get(name, target)
             targets[name] = min(max(target, last - reach), last + reach)
         self._target_m = targets
-
-    def _lead_guest(self, name: str, dt_s: float) -> None:
-        now = self._guest_now_n.get(name, GUEST_BIAS_N)
-        step = GUEST_RATE_N_S * dt_s
-        change = self.guest_bias_n.get(name, GUEST_BIAS_N) - now
-        self._guest_now_n[name] = now + min(max(change, -step), step)
 
     def commands(self, now_ns: int) -> Iterator[ChainCommand]:
         """What `step` decided, one message a chain."""
@@ -299,8 +269,7 @@ class Arm:
                 lease_ns=LEASE_NS,
                 muscles=state.muscles,
                 bias_n=tuple(
-                    planned.get(name, self._guest_now_n.get(name, GUEST_BIAS_N))
-                    for name in state.muscles
+                    planned.get(name, self.guests.tension_n(name)) for name in state.muscles
                 ),
                 stiffness_n_m=tuple(stiffness if k else 0.0 for k in known),
                 target_length_m=tuple(self._target_m[name] for name in state.muscles),

@@ -25,7 +25,8 @@ from runtime.messages import (
 from services.body_schema.model import BodyModel
 from services.body_schema.motions import TrainingError, residuals_m
 from services.body_schema.schema import Schema, SchemaError
-from services.logic.arm import GUEST_BIAS_N, Arm, MotionRecorder
+from services.logic.arm import Arm, MotionRecorder
+from services.logic.guests import GUEST_BIAS_N
 
 Array = NDArray[np.float64]
 
@@ -38,7 +39,7 @@ REPEAT_S = 1.0  # of the job, until the retrainer is heard
 FLOOR_SPREAD_N = 12.0  # co-contraction that motions add at random
 RANGE_MARGIN = 0.03  # of the joints' ranges that motions leave out at either end
 DESIGNS = 200
-SPEED_DEG_S = 80.0  # of the fastest joint in a motion
+SPEED_UP = 4.0 / 3.0  # of the fastest joint in a motion, over the speed of tasks
 
 
 class Target(msgspec.Struct, frozen=True):
@@ -156,10 +157,11 @@ class Growth:
         if self._recorder is None:
             self._recorder = MotionRecorder(record.muscles)
             self._bias_from, self._bias = self._bias, target.bias_n
-            arm.go(np.array(target.angle_rad), np.array(target.floor_n), SPEED_DEG_S)
+            speed_deg_s = SPEED_UP * arm.settings.control.joint_speed_deg_s
+            arm.go(np.array(target.angle_rad), np.array(target.floor_n), speed_deg_s)
         path = arm.path
         assert path is not None
-        arm.guest_bias_n[record.muscle] = self._bias_at(path.elapsed_s / path.duration_s)
+        arm.guests.bias_n[record.muscle] = self._bias_at(path.elapsed_s / path.duration_s)
         settled = path.arrived_s > SETTLE_S - SETTLED_TAIL_S
         if self._ticks % SAMPLE_EVERY == 0:
             self._recorder.sample(arm, settled)
@@ -168,7 +170,7 @@ class Growth:
             self._recorder = None
             self.dirty = True
             if len(record.motions) == self.steps:
-                arm.guest_bias_n[record.muscle] = GUEST_BIAS_N
+                arm.guests.bias_n[record.muscle] = GUEST_BIAS_N
                 arm.go(np.array(record.return_rad))
 
     def _bias_at(self, share: float) -> float:

@@ -9,13 +9,13 @@ from runtime.messages import ChainCommand, JointState
 from services.body_schema.growth import grow
 from services.logic.arm import (
     FADE_S,
-    GUEST_BIAS_N,
-    GUEST_RATE_N_S,
     LEASE_NS,
     STALE_NS,
     Arm,
     MotionRecorder,
 )
+from services.logic.guests import GUEST_BIAS_N, GUEST_RATE_N_S
+from services.logic.wiring import Wiring
 from tests.unit.arm_bench import DT_S, MS, SETTINGS, SKELETON, Bench, K, shipped
 
 REACH_M = SETTINGS.module.target_speed_m_s * DT_S
@@ -176,7 +176,7 @@ def test_a_guest_follows_with_a_small_tension_and_never_holds() -> None:
 def test_a_guests_tension_changes_at_a_bounded_rate() -> None:
     bench = Bench(muscles=WITH_GUEST)
     bench.step()
-    bench.arm.guest_bias_n["biceps_3"] = 35.0
+    bench.arm.guests.bias_n["biceps_3"] = 35.0
     biases = [bench.step().bias_n[3] for _ in range(60)]
     steps = np.diff([GUEST_BIAS_N, *biases])
     assert steps.max() == pytest.approx(GUEST_RATE_N_S * DT_S)
@@ -184,8 +184,17 @@ def test_a_guests_tension_changes_at_a_bounded_rate() -> None:
     assert biases[-1] == pytest.approx(35.0)
 
 
-def test_old_muscles_carry_what_a_guest_does_to_the_joint() -> None:
-    bench = Bench(muscles=WITH_GUEST)
+def test_a_guests_torque_follows_from_its_tension_and_nominal_path() -> None:
+    bench = Bench(muscles=WITH_GUEST, tension_n={"biceps_3": 20.0})
+    bench.run(0.1)
+    spare = SETTINGS.spare[0]
+    wiring = Wiring(SETTINGS.body_file, SETTINGS.joints, {spare.name: spare.path})
+    _, g = wiring.lengths_and_jacobian(np.array([0.5]))
+    assert bench.arm.guests.torque_nm == pytest.approx(-20.0 * g[0])
+
+
+def test_old_muscles_carry_what_a_guest_of_unknown_path_does_to_the_joint() -> None:
+    bench = Bench(muscles=(*SETTINGS.muscles, "stranger"))
     bench.run(2.0)
     assert bench.arm.plan is not None
     # the plan balances what is felt: gravity less the torque of the known muscles is the guest's

@@ -22,7 +22,7 @@ from runtime.messages import (
 from services.body_schema.growth import grow
 from services.body_schema.model import BodyModel
 from services.body_schema.schema import Schema
-from services.logic.arm import GUEST_BIAS_N, Arm
+from services.logic.arm import Arm
 from services.logic.growth import (
     FLOOR_SPREAD_N,
     JOIN_LIMIT_S,
@@ -33,6 +33,7 @@ from services.logic.growth import (
     held_out_residual_m,
     spread_targets,
 )
+from services.logic.guests import GUEST_BIAS_N
 from tests.unit.arm_bench import DT_S, SETTINGS, SKELETON, Bench
 
 MUSCLES = (*SETTINGS.muscles, "biceps_3")
@@ -228,7 +229,7 @@ def test_the_guest_pulls_as_each_motion_says_and_rests_afterwards() -> None:
     biases = []
     for k in range(1, 6):
         run.until(lambda k=k: len(run.growth.record.motions) == k)  # type: ignore[misc]
-        biases.append(run.bench.arm.guest_bias_n["biceps_3"])
+        biases.append(run.bench.arm.guests.bias_n["biceps_3"])
     wanted = [target.bias_n for target in run.growth.record.targets]
     assert biases == pytest.approx([*wanted[:4], GUEST_BIAS_N])
     run.until(lambda: run.bench.arm.resting_s() > 0.5)
