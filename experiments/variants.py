@@ -52,7 +52,9 @@ VARIANTS = {
     "moved2": Variant("old insertions 2 mm elsewhere since h_old", {"moved_m": 0.002}),
     "moved4": Variant("old insertions 4 mm elsewhere since h_old", {"moved_m": 0.004}),
     "stiff": Variant("the new muscle's elastic element twice as stiff", {"spare_stiffness": 2.0}),
-    "motor": Variant("friction at the motor too: readings lag by 5 %", {"motor_friction": 0.05}),
-    "soft": Variant("the new wire runs over a soft part", {"soft_part_m": 0.01}),
+    "motor": Variant(
+        "friction at the motor too: in motion readings are off by 5 %", {"motor_friction": 0.05}
+    ),
+    "soft": Variant("the new wire runs over a soft part", {"soft_part_m": 0.005}),
     "load": Variant("the load is known 10 % wrong", believed_load=1.1),
 }

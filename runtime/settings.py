@@ -130,6 +130,13 @@ class Simulation(_Table, frozen=True, kw_only=True):
     wire_friction: float = 0.2  # mu phi: friction is tension * sinh(mu phi)
     elastic_n_m: tuple[float, float, float] = (1000.0, 0.0, 7.5e7)  # f = a e + b e^2 + c e^3
     ambient_degc: float = 25.0
+    # what nobody expects, for experiments; see experiments/variants.py
+    moved_m: float = 0.0  # old insertions sit this far from where h_old learned them
+    spare_stiffness: float = 1.0  # of an added muscle's elastic element, over the usual one's
+    motor_friction: float = 0.0  # a load cell reads this share too much while its motor winds
+    soft_part_m: float = 0.0  # radius of a part that an added wire runs over
+    joint_error_m: float = 0.0  # joints sit this far from where the skeleton has them ...
+    joint_error_rad: float = 0.0  # ... and their axes are turned by this much
 
 
 class RobotSettings(_Table, frozen=True, kw_only=True):
