@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.body import Body
-from experiments.feasibility import Feasibility, assess, least_peak, postures
+from experiments.feasibility import Feasibility, assess, least_norm, least_peak, postures
 from hardware_sim.geometry import Geometry, Load
 from runtime.cli.main import UsageError, _run
 from runtime.messages import MusclePath, Place
@@ -81,6 +81,12 @@ def test_the_least_peak_is_the_one_found_by_hand():
     # two on one side share evenly
     pair = least_peak(np.array([[-0.05], [-0.05]]), np.array([4.0]), 10.0)
     assert pair == pytest.approx([40.0, 40.0], abs=0.02)
+
+
+def test_the_least_norm_shares_by_moment_arms() -> None:
+    pair = least_norm(np.array([[-0.06], [-0.03]]), np.array([4.5]), 10.0, 200.0)
+    assert pair == pytest.approx([60.0, 30.0])
+    assert least_norm(np.array([[-0.06], [-0.03]]), np.array([4.5]), 10.0, 40.0) is None
 
 
 def test_a_torque_to_the_side_without_wires_is_not_held():

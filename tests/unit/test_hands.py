@@ -1,4 +1,4 @@
-"""A payload is grasped, carried with its weight counted, and set down; or the hand finds nothing."""
+"""A payload is grasped, carried with its weight counted, set down; or the hand finds nothing."""
 
 from __future__ import annotations
 
