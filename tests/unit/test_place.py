@@ -1,5 +1,9 @@
 """The search for places of wires."""
 
+from __future__ import annotations
+
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,7 +11,7 @@ from experiments.place import Search, write_sites
 from runtime.settings import load_robot
 
 
-def test_the_search_only_improves_and_stays_in_its_boxes():
+def test_the_search_only_improves_and_stays_in_its_boxes() -> None:
     elbow = load_robot("elbow")
     search = Search(elbow, box_m=0.01, load=1.2, seed=1)
     start, drawn = search.score, search.places_m()
@@ -24,7 +28,7 @@ def test_the_search_only_improves_and_stays_in_its_boxes():
     assert search.check().share == 1.0
 
 
-def test_places_are_written_and_nothing_else_changes(tmp_path):
+def test_places_are_written_and_nothing_else_changes(tmp_path: Path) -> None:
     source = load_robot("elbow").body_file
     file = tmp_path / "elbow.xml"
     before = source.read_text()
