@@ -213,7 +213,7 @@ class Plant:
             raise ValueError("the snapshot's wires are in another order than the body's")
         self.ruptured = set(snapshot["ruptured"])
         self._steps = snapshot["steps"]
-        self.grasp.held = dict(snapshot["held"])
+        self.grasp.held = dict(snapshot.get("held", {}))
         self._bind()
         mj.mj_setState(self.model, self.data, np.array(snapshot["state"]), STATE)
         self._friction_n[:] = snapshot["friction_n"]

@@ -65,6 +65,23 @@ def test_the_lift_is_what_the_paper_had_and_the_spare_halves_it() -> None:
         next(along(settings, settings.task[0], "wings"))
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_the_dumbbell_is_carried_from_the_low_table_to_the_high_one_and_stays() -> None:
+    settings = load_robot("musashi_w")
+    rig = Rig(settings)
+    plant = rig.robot.plant
+    low = plant.payload_m("dumbbell")
+    rig.run(0.5)
+    assert rig.ask(m.Task(name="lift")).ok
+    rig.run_until(lambda: any(e.kind == "task_done" for e in rig.events), 120.0, "the lift")
+    put = plant.payload_m("dumbbell")
+    assert put[2] - low[2] == pytest.approx(0.287, abs=5e-3)  # the tables' heights
+    rig.run(1.0)
+    assert plant.payload_m("dumbbell") == pytest.approx(put, abs=3e-3)
+    assert max(rig.robot.truth().peak_tension_n) < settings.module.tension_limit_n
+
+
 def test_the_dumbbell_lies_on_the_low_table_until_it_is_taken() -> None:
     rig = Rig(load_robot("musashi_w"), services=False)
     plant = rig.robot.plant
