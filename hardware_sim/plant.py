@@ -53,7 +53,10 @@ class Plant:
         self.model = self._spec.compile()
         self.data = mj.MjData(self.model)
         self.drive = WireDrive(
-            len(self.wires), settings.module.winding_speed_m_s, self.simulation.ambient_degc
+            len(self.wires),
+            settings.module.winding_speed_m_s,
+            self.simulation.ambient_degc,
+            self.simulation.heating_degc_n2,
         )
         self.ruptured: set[str] = set()
         self.grasp = Grasp(settings.payload)
