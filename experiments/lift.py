@@ -1,9 +1,10 @@
 """`python -m experiments lift`: what carrying a task's payload asks of the muscles, at rest.
 
-Along the way points between grasp and release the least maximal tension of one role's muscles is
-looked for, with all tensions between the robot's floor and ceiling: before, and with the spare
-muscles of that role plugged in. Nothing rubs, nothing is learned: this is what the body's geometry
-allows.
+Along the way points between grasp and release one role's muscles are looked at, with all tensions
+between the robot's floor and ceiling, before and with the spare muscles of that role plugged in:
+the greatest of their tensions when it is made as small as can be (even), and when the norm of all
+tensions is, as the executive plans (norm). Nothing rubs, nothing is learned: this is what the
+body's geometry allows.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.feasibility import Array, least_peak
+from experiments.feasibility import Array, least_norm, least_peak
 from hardware_sim.geometry import Geometry, Load
 from runtime.messages import MusclePath
 from runtime.settings import Payload, RobotSettings, TaskPath, load_robot
@@ -31,11 +32,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True)
 class Point:
-    """One posture on the way, and the least that the role's strongest muscle has to pull there."""
+    """One posture on the way, and what the role's strongest muscle pulls there: before, after."""
 
     target: float  # 3.25: a quarter of the way from target 3 to 4
-    before_n: float
-    after_n: float
+    even_n: tuple[float, float]
+    norm_n: tuple[float, float]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,13 +51,17 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as error:
         print(f"{settings.file}: {error}")
         return 2
-    print(f"least peak of the '{args.role}' muscles with '{task.payload}' in the hand, at rest")
-    print(f"{'target':>7}{'before':>11}{'with spare':>13}")
+    print(f"strongest of the '{args.role}' muscles with '{task.payload}' in the hand, at rest")
+    print(f"{'':7}{'shared evenly':>22}{'by least norm':>22}")
+    print(f"{'target':7}{'before':>11}{'with spare':>11}{'before':>11}{'with spare':>11}")
     for point in points:
-        print(f"{point.target:7.2f}{point.before_n:9.1f} N{point.after_n:11.1f} N")
-    before, after = (max(p.before_n for p in points), max(p.after_n for p in points))
-    print(f"peak {before:.1f} N -> {after:.1f} N: {100 * (after / before - 1):+.1f} %")
-    return 0 if np.isfinite(before) and np.isfinite(after) else 1
+        figures = "".join(f"{n:9.1f} N" for n in (*point.even_n, *point.norm_n))
+        print(f"{point.target:6.2f} {figures}")
+    peaks = np.array([(*point.even_n, *point.norm_n) for point in points]).max(axis=0)
+    print("peak   " + "".join(f"{n:9.1f} N" for n in peaks))
+    even, norm = (100 * (peaks[k + 1] / peaks[k] - 1) for k in (0, 2))
+    print(f"cut    {even:20.1f} %{norm:20.1f} %")
+    return 0 if np.isfinite(peaks).all() else 1
 
 
 def along(settings: RobotSettings, task: TaskPath, role: str) -> Iterator[Point]:
@@ -79,10 +84,8 @@ def along(settings: RobotSettings, task: TaskPath, role: str) -> Iterator[Point]
         for piece in range(BETWEEN + last):
             share = piece / BETWEEN
             posture = targets[leg] + share * (targets[leg + 1] - targets[leg])
-            yield Point(
-                leg + 1 + share,
-                *(_peak_n(body, posture, settings, named) for body in (old, new)),
-            )
+            before, after = (_peaks_n(body, posture, settings, named) for body in (old, new))
+            yield Point(leg + 1 + share, (before[0], after[0]), (before[1], after[1]))
 
 
 def _loaded(
@@ -92,11 +95,14 @@ def _loaded(
     return Geometry(settings.body_file, settings.joints, spares, load)
 
 
-def _peak_n(body: Geometry, posture: Array, settings: RobotSettings, named: set[str]) -> float:
+def _peaks_n(
+    body: Geometry, posture: Array, settings: RobotSettings, named: set[str]
+) -> tuple[float, float]:
+    """The strongest tension [N] of the named muscles: shared evenly, and by least norm."""
     _, jacobian, torque = body.at(posture)
     counted = np.array([name in named for name in body.wires])
-    control = settings.control
-    found = least_peak(
-        jacobian, torque, control.tension_floor_n, control.tension_ceiling_n, counted
-    )
-    return float("inf") if found is None else float(found[counted].max())
+    low, high = settings.control.tension_floor_n, settings.control.tension_ceiling_n
+    even = least_peak(jacobian, torque, low, high, counted)
+    norm = least_norm(jacobian, torque, low, high)
+    peaks = [np.inf if f is None else float(f[counted].max()) for f in (even, norm)]
+    return peaks[0], peaks[1]

@@ -16,6 +16,7 @@ from runtime.messages import Message
 from runtime.settings import load_robot
 
 BEGIN_S = 0.5
+STAYS_S = 2.0  # a payload that was put down is watched for so long
 A_TARGET_S = 30.0  # of robot time: longer, and something is wrong
 
 
@@ -59,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
         return 2
     rig, watch = Rig(settings, args.seed), Watch()
     rig.watchers.append(watch.see)
+    plant = rig.robot.plant
     start = time.perf_counter()
     rig.run(BEGIN_S)
     reply = rig.ask(m.Task(name=task.name))
@@ -73,6 +75,15 @@ def run(args: argparse.Namespace) -> int:
         )
     except RigTimeoutError as error:
         print(error)
+    for event in rig.events:
+        if event.level != "info" or event.kind in ("grasp", "release"):
+            print(f"{event.stamp_ns * 1e-9:7.1f} s  {event.text}")
+    if task.payload:
+        put = plant.payload_m(task.payload)
+        rig.run(STAYS_S)
+        moved_m = float(np.linalg.norm(plant.payload_m(task.payload) - put))
+        words = ", ".join(f"{name} {1000 * v:.0f}" for name, v in zip("xyz", put, strict=True))
+        print(f"'{task.payload}' ended at {words} mm and moved {1000 * moved_m:.1f} mm since")
     faster = rig.now_ns * 1e-9 / (time.perf_counter() - start)
     print(f"{'target':>6}{'error':>12}{'worst joint':>28}{'peak tension':>30}")
     errors = []

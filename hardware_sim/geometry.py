@@ -67,8 +67,8 @@ class Geometry:
         self._data = mj.MjData(model)
         hinges = [model.joint(i) for i in range(model.njnt)]
         hinges = [joint for joint in hinges if joint.type[0] == mj.mjtJoint.mjJNT_HINGE]
-        self.joints = tuple(joints) or tuple(joint.name for joint in hinges)
-        found = [model.joint(name) for name in self.joints]
+        found = [model.joint(name) for name in joints] or hinges
+        self.joints = tuple(joint.name or f"joint {joint.id}" for joint in found)
         self._qpos = np.array([int(joint.qposadr[0]) for joint in found], dtype=int)
         self._dof = np.array([int(joint.dofadr[0]) for joint in found], dtype=int)
         limited = [model.jnt_limited[joint.id] for joint in found]
@@ -78,7 +78,7 @@ class Geometry:
                 for joint, known in zip(found, limited, strict=True)
             ]
         ).reshape(-1, 2)
-        self.wires = tuple(model.tendon(i).name for i in range(model.ntendon))
+        self.wires = tuple(model.tendon(i).name or f"wire {i}" for i in range(model.ntendon))
         self.wire_sites = tuple(_sites(model, i) for i in range(model.ntendon))
         self.mass_kg = {
             model.body(i).name: float(model.body_mass[i])

@@ -54,7 +54,10 @@ class Plant:
         self.model = self._spec.compile()
         self.data = mj.MjData(self.model)
         self.drive = WireDrive(
-            len(self.wires), settings.module.winding_speed_m_s, self.simulation.ambient_degc
+            len(self.wires),
+            settings.module.winding_speed_m_s,
+            self.simulation.ambient_degc,
+            self.simulation.heating_degc_n2,
         )
         self.ruptured: set[str] = set()
         self.grasp = Grasp(settings.payload)
@@ -232,7 +235,7 @@ class Plant:
             raise ValueError("the snapshot's wires are in another order than the body's")
         self.ruptured = set(snapshot["ruptured"])
         self._steps = snapshot["steps"]
-        self.grasp.held = dict(snapshot["held"])
+        self.grasp.held = dict(snapshot.get("held", {}))
         self._bind()
         mj.mj_setState(self.model, self.data, np.array(snapshot["state"]), STATE)
         self._friction_n[:] = snapshot["friction_n"]

@@ -130,6 +130,7 @@ class Simulation(_Table, frozen=True, kw_only=True):
     wire_friction: float = 0.2  # mu phi: friction is tension * sinh(mu phi)
     elastic_n_m: tuple[float, float, float] = (1000.0, 0.0, 7.5e7)  # f = a e + b e^2 + c e^3
     ambient_degc: float = 25.0
+    heating_degc_n2: float = 0.0075  # steady rise of a winding per squared tension
     # what nobody expects, for experiments; see experiments/variants.py
     moved_m: float = 0.0  # old insertions sit this far from where h_old learned them
     spare_stiffness: float = 1.0  # of an added muscle's elastic element, over the usual one's
