@@ -29,6 +29,14 @@ class Score:
     peak_tension_n: float
 
 
+@dataclass(frozen=True)
+class Settled:
+    """One target, while the arm rested there."""
+
+    error_rad: float  # ||theta_ref - theta||
+    tension_n: dict[str, float]  # mean, by muscle
+
+
 class SweepScorer:
     """Watches messages during one task, and scores the moments at which the arm had settled.
 
@@ -53,30 +61,48 @@ class SweepScorer:
         elif isinstance(message, WorldTruth):
             self._truths.append(message)
 
-    @property
-    def score(self) -> Score:
-        """The figures.
+    def targets(self) -> list[Settled]:
+        """What was true at each target while the arm rested there, on average.
 
         Raises:
             ValueError: the arm never settled at some target.
         """
         angles: dict[int, list[tuple[float, ...]]] = defaultdict(list)
-        tensions: dict[int, list[list[float]]] = defaultdict(list)
-        peak_n = 0.0
+        tensions: dict[int, list[tuple[float, ...]]] = defaultdict(list)
+        muscles: tuple[str, ...] = ()
         for state, truth in self._during_task():
-            peak_n = max(peak_n, *truth.tension_n)
             if state.settled and state.stage == "move":
-                tension = dict(zip(truth.muscles, truth.tension_n, strict=True))
+                muscles = truth.muscles
                 angles[state.step].append(truth.angle_rad)
-                tensions[state.step].append([tension.get(n, 0.0) for n in self._flexors])
+                tensions[state.step].append(truth.tension_n)
         missing = [k for k in range(1, len(self._targets) + 1) if not angles[k]]
         if missing:
             raise ValueError(f"the arm never settled at targets {missing} of '{self._task}'")
-        errors, spreads = [], []
-        for k, target in enumerate(self._targets, start=1):
-            errors.append(np.linalg.norm(target - np.mean(angles[k], axis=0)))
-            spreads.append(np.std(np.mean(tensions[k], axis=0)))
-        return Score(float(np.mean(errors)), float(np.mean(spreads)), peak_n)
+        return [
+            Settled(
+                float(np.linalg.norm(target - np.mean(angles[k], axis=0))),
+                dict(zip(muscles, np.mean(tensions[k], axis=0).tolist(), strict=True)),
+            )
+            for k, target in enumerate(self._targets, start=1)
+        ]
+
+    @property
+    def score(self) -> Score:
+        """The figures.
+
+        Raises:
+            ValueError: see `targets`.
+        """
+        targets = self.targets()
+        spreads = [
+            np.std([target.tension_n.get(name, 0.0) for name in self._flexors])
+            for target in targets
+        ]
+        return Score(
+            e_theta_rad=float(np.mean([target.error_rad for target in targets])),
+            sigma_f_n=float(np.mean(spreads)),
+            peak_tension_n=max(max(truth.tension_n) for _, truth in self._during_task()),
+        )
 
     def _during_task(self) -> Iterator[tuple[ExecutiveState, WorldTruth]]:
         """Each truth of the task with the executive's last word before it."""

@@ -151,7 +151,6 @@ def score_sweep(session: Session, narrate: Narrate, title: str) -> Score:
     steps = [0]
 
     def watch(message: Message) -> None:
-        scorer.see(message)
         if not isinstance(message, m.ExecutiveState) or message.task != "sweep":
             return
         if message.step != steps[0]:
@@ -159,13 +158,25 @@ def score_sweep(session: Session, narrate: Narrate, title: str) -> Score:
             narrate(title, message.step - 1, message.steps)
 
     session.watchers.append(watch)
-    session.ask(m.Task(name="sweep"))
-    done = session.wait(_event("task_done"), TASK_LIMIT_S, "the sweep")
-    session.wait(_truth_after(done.stamp_ns), 5.0, "the world's truth of the sweep's end")
+    run_scored(session, scorer, "sweep")
     session.watchers.remove(watch)
     narrate(title, 1, 1)
+    return scorer.score
+
+
+def run_scored(session: Session, scorer: SweepScorer, task: str) -> None:
+    """Run a task under the scorer's eyes.
+
+    Raises:
+        SessionError: it was refused, did not end, or the arm never came to rest at a target.
+    """
+    session.watchers.append(scorer.see)
+    session.ask(m.Task(name=task))
+    done = session.wait(_event("task_done"), TASK_LIMIT_S, f"the task '{task}'")
+    session.wait(_truth_after(done.stamp_ns), 5.0, "the world's truth of the task's end")
+    session.watchers.remove(scorer.see)
     try:
-        return scorer.score
+        scorer.targets()
     except ValueError as error:
         raise SessionError(str(error)) from error
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.lift import along
+from experiments.carry import along
 from experiments.rig import Rig
 from runtime import messages as m
 from runtime.settings import load_robot

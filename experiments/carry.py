@@ -1,4 +1,4 @@
-"""`python -m experiments lift`: what carrying a task's payload asks of the muscles, at rest.
+"""`python -m experiments carry`: what carrying a task's payload asks of the muscles, at rest.
 
 Along the way points between grasp and release one role's muscles are looked at, with all tensions
 between the robot's floor and ceiling, before and with the spare muscles of that role plugged in:
