@@ -19,7 +19,8 @@ from services.body_schema.schema import Schema
 
 HELD_OUT_EVERY = 10
 DURATION_S = 500.0
-# Of training for bodies of more than one joint, chosen on musashi_arm's held-out samples.
+# For bodies of more than one joint: tried on musashi_arm, not searched.
+LARGER_DURATION_S = 1500.0
 LARGER_STEPS, LARGER_BATCH, LARGER_RATE = 60_000, 256, 2e-3
 
 
@@ -28,7 +29,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", nargs="?", default="elbow", help="robot or robot file")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--seconds", type=float, default=DURATION_S, help="robot time of motion to learn from"
+        "--seconds",
+        type=float,
+        help=f"robot time of motion to learn from; default: {DURATION_S:g},"
+        f" for more than one joint {LARGER_DURATION_S:g}",
     )
     parser.add_argument("--out", type=Path, help="default: the robot file's schema")
     parser.add_argument("--quick", action="store_true", help="a tenth of motion and training")
@@ -41,7 +45,8 @@ def run(args: argparse.Namespace) -> int:
     if out is None:
         print(f"{settings.file}: [robot] names no schema; give --out FILE")
         return 2
-    seconds = args.seconds / (10 if args.quick else 1)
+    usual = DURATION_S if len(settings.joints) == 1 else LARGER_DURATION_S
+    seconds = (args.seconds or usual) / (10 if args.quick else 1)
     start = time.monotonic()
     with bars() as narrate:
         recording = collect_old(
