@@ -20,7 +20,8 @@ from services.body_schema.schema import Schema
 
 HELD_OUT_EVERY = 10
 DURATION_S = 500.0
-# Of training for bodies of more than one joint, chosen on musashi_arm's held-out samples.
+# For bodies of more than one joint: tried on musashi_arm, not searched.
+LARGER_DURATION_S = 1500.0
 LARGER_STEPS, LARGER_BATCH, LARGER_RATE = 60_000, 256, 2e-3
 
 
@@ -29,7 +30,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", nargs="?", default="elbow", help="robot or robot file")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--seconds", type=float, default=DURATION_S, help="robot time of motion to learn from"
+        "--seconds",
+        type=float,
+        help=f"robot time of motion to learn from; default: {DURATION_S:g},"
+        f" for more than one joint {LARGER_DURATION_S:g}",
     )
     parser.add_argument(
         "--drawing-off-mm",
@@ -58,7 +62,8 @@ def run(args: argparse.Namespace) -> int:
                 lambda epoch, epochs, *_: narrate("train", epoch, epochs),
             )
         return _write(schema, out, start)
-    seconds = args.seconds / (10 if args.quick else 1)
+    usual = DURATION_S if len(settings.joints) == 1 else LARGER_DURATION_S
+    seconds = (args.seconds or usual) / (10 if args.quick else 1)
     with bars() as narrate:
         recording = collect_old(
             settings, args.seed, seconds, lambda s: narrate("collect", round(100 * s), 100)

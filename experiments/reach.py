@@ -40,7 +40,9 @@ class Watch:
         """Take in a message."""
         if isinstance(message, m.ExecutiveState):
             self.state = message
-        if not isinstance(message, m.WorldTruth) or self.state is None or not self.state.task:
+        if not isinstance(message, m.WorldTruth) or self.state is None:
+            return
+        if not self.state.task or self.state.growing:  # growing, it counts other steps
             return
         step = self.state.step
         highest = max(range(len(message.muscles)), key=message.tension_n.__getitem__)
