@@ -39,12 +39,14 @@ class Comparison:
         variants: by name.
         score: runs the task on a rig that holds, and gives its figures.
         papers_control: whether the paper's control is tried too.
+        shared: whether each model shares by least norm and by least peak, not by norm alone.
     """
 
     robot: str
     variants: Mapping[str, Variant]
     score: Score
     papers_control: bool = True
+    shared: bool = False  # whether every model is tried with both kinds of sharing
 
     def fingerprint(self) -> dict[str, object]:
         """What decides about the results."""
@@ -69,25 +71,36 @@ class Comparison:
         collected = collect(settings, unit.seed, network, unit.n_new or 1, variant.arm(Arm))
         trials.peak_n = collected.peak_tension_n
         controls = (PAPERS, CONVERGED) if self.papers_control else (CONVERGED,)
+        converged = ("norm", "peak") if self.shared else (CONVERGED,)
+        if self.shared:
+            controls = converged
         if unit.n_new == 0:
             for control in controls:
                 trials.run("before", control, network, None)
-            trials.run("oracle", CONVERGED, None, collected)
+            for control in converged:
+                trials.run("oracle", control, None, collected)
             return trials.runs
         for method in methods:
-            for control in controls if method in PAPERS_OWN else ():
-                motions = settled(collected.new) if control == PAPERS else collected.new
-                begin_s = perf_counter()
-                schema = relearned(method, network, motions, settings, unit.seed, quick)
-                trials.learn_s = perf_counter() - begin_s
-                trials.run(method, control, schema, collected)
+            if method not in PAPERS_OWN:
+                continue
+            schemas: dict[bool, Schema] = {}
+            for control in controls:
+                papers = control == PAPERS
+                if papers not in schemas:
+                    motions = settled(collected.new) if papers else collected.new
+                    begin_s = perf_counter()
+                    schemas[papers] = relearned(
+                        method, network, motions, settings, unit.seed, quick
+                    )
+                    trials.learn_s = perf_counter() - begin_s
+                trials.run(method, control, schemas[papers], collected)
         if {"(iv)", "(iv) wires"} & {*methods}:
             begin_s = perf_counter()
             models = wired(old, collected.new, settings, unit.seed)
             trials.learn_s = perf_counter() - begin_s
             for method, model in models.items():
-                if method in methods:
-                    trials.run(method, CONVERGED, model, collected)
+                for control in converged if method in methods else ():
+                    trials.run(method, control, model, collected)
         return trials.runs
 
 
@@ -118,7 +131,11 @@ class _Trials:
         arm = self._variant.arm(PaperArm if control == PAPERS else Arm)
         figures: dict[str, float] = {"collect_peak_n": self.peak_n}
         try:
-            rig = start(self._settings, self._unit.seed, model or self._old, robot, arm)
+            settings = self._settings
+            if control in ("norm", "peak"):
+                sharing = msgspec.structs.replace(settings.control, sharing=control)
+                settings = msgspec.structs.replace(settings, control=sharing)
+            rig = start(settings, self._unit.seed, model or self._old, robot, arm)
             if model is None:
                 rig.executive.arm.use(Oracle(rig))
                 rig.run(1.0)

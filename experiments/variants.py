@@ -91,3 +91,11 @@ ARM_VARIANTS = {
         schema=MODEL,
     ),
 }
+
+LIFT_VARIANTS = {
+    "clean": Variant("h_old from the robot itself; nothing but the assembly error"),
+    "model": Variant(
+        "h_old from a geometric model, sites 20 mm off, no friction",
+        schema="musashi_w_model.safetensors",
+    ),
+}

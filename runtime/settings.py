@@ -8,6 +8,7 @@ line and remedy.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
@@ -88,6 +89,7 @@ class Control(_Table, frozen=True, kw_only=True):
     stiffness_n_m: float = 20_000.0
     joint_speed_deg_s: float = 60.0
     settle_s: float = 0.6
+    sharing: Literal["norm", "peak"] = "norm"  # least ||f||^2, or least greatest tension
 
 
 class Growth(_Table, frozen=True, kw_only=True):
