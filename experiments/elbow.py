@@ -17,7 +17,7 @@ from experiments.methods import METHODS
 from experiments.options import Choices
 from experiments.report import carry_out
 from experiments.rig import Rig
-from experiments.sequence import score_sweep
+from experiments.sequence import score_task
 from experiments.session import RigSession
 from experiments.statistics import Run
 from experiments.sweep import Unit
@@ -77,7 +77,7 @@ def one_unit(unit: Unit, methods: tuple[str, ...], quick: bool) -> list[Run]:
 
 def score(rig: Rig) -> dict[str, float]:
     """The sweep's figures."""
-    return asdict(score_sweep(RigSession(rig), lambda *_: None, "sweep"))
+    return asdict(score_task(RigSession(rig), "sweep", lambda *_: None, ""))
 
 
 ELBOW = Comparison("elbow", VARIANTS, score)

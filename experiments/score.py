@@ -19,8 +19,9 @@ class Score:
 
     Attributes:
         e_theta_rad: mean over targets of ||theta_ref - theta||.
-        sigma_f_n: mean over targets of the standard deviation (ddof 0) of the flexors' tensions;
-            a flexor that is not plugged in counts as 0 N.
+        sigma_f_n: mean over targets of the standard deviation (ddof 0) of the tensions of the
+            muscles in the spare's role, the flexors of an elbow; one that is not plugged in
+            counts as 0 N.
         peak_tension_n: greatest tension of any muscle during the sweep.
     """
 
@@ -37,6 +38,13 @@ class Settled:
     tension_n: dict[str, float]  # mean, by muscle
 
 
+def alike(settings: RobotSettings) -> list[str]:
+    """The muscles in the same role as the first spare, itself last."""
+    role = settings.spare[0].role if settings.spare else ""
+    names = [x.name for x in settings.muscle if x.role == role]
+    return names + [x.name for x in settings.spare if x.role == role]
+
+
 class SweepScorer:
     """Watches messages during one task, and scores the moments at which the arm had settled.
 
@@ -49,8 +57,7 @@ class SweepScorer:
         self._targets = np.radians(
             next(row.targets_deg for row in settings.task if row.name == task)
         )
-        self._flexors = [x.name for x in settings.muscle if x.role == "flexor"]
-        self._flexors += [x.name for x in settings.spare if x.role == "flexor"]
+        self._alike = alike(settings)
         self._states: list[ExecutiveState] = []
         self._truths: list[WorldTruth] = []
 
@@ -95,8 +102,7 @@ class SweepScorer:
         """
         targets = self.targets()
         spreads = [
-            np.std([target.tension_n.get(name, 0.0) for name in self._flexors])
-            for target in targets
+            np.std([target.tension_n.get(name, 0.0) for name in self._alike]) for target in targets
         ]
         return Score(
             e_theta_rad=float(np.mean([target.error_rad for target in targets])),
