@@ -146,7 +146,12 @@ class SimulatedRobot:
             level="info",
             kind="plugged",
             text=f"muscle '{name}' was plugged into chain '{chain}'",
-            data={"muscle": name, "chain": chain, "serial": str(serial)},
+            data={
+                "muscle": name,
+                "chain": chain,
+                "serial": str(serial),
+                "path": msgspec.json.encode(path).decode(),
+            },
         )
 
     def unplug(self, request: m.Unplug) -> m.Event:
