@@ -41,13 +41,16 @@ format: setup  ## put the code into shape
 bench: setup  ## measure the budgets
 	$(BIN)/pytest --quiet --capture=no tests/bench
 
-pictures: setup  ## the README's picture and the topic table, made anew
+pictures: setup  ## the documents' pictures and tables, made anew
 	mkdir -p docs/pictures
 	$(BIN)/myograft demo --picture docs/pictures/demo.png
 	$(BIN)/python -m docs.topic_table
+	$(BIN)/python -m docs.results
 
-experiments: setup  ## repeat the paper's experiments
-	$(BIN)/python -m experiments grow --seeds 11
+experiments: setup  ## repeat the paper's three experiments; hours, and it goes on where it stopped
+	$(BIN)/python -m experiments elbow --json docs/results/elbow.json
+	$(BIN)/python -m experiments arm --json docs/results/arm.json
+	$(BIN)/python -m experiments lift --json docs/results/lift.json
 
 clean:  ## remove what was built, keep .venv
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

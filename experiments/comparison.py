@@ -94,7 +94,7 @@ class Comparison:
                     )
                     trials.learn_s = perf_counter() - begin_s
                 trials.run(method, control, schemas[papers], collected)
-        if {"(iv)", "(iv) wires"} & {*methods}:
+        if {"(iv)", "(iv) network"} & {*methods}:
             begin_s = perf_counter()
             models = wired(old, collected.new, settings, unit.seed)
             trials.learn_s = perf_counter() - begin_s

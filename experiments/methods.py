@@ -16,8 +16,8 @@ METHODS = {
     "(ii)": "w_loss = 1",
     "(iii)": "w_loss = 1 - e / N_epoch",
     "(i) no copy": "(i) from random weights",
-    "(iv)": "wires fitted on the skeleton; the network that they taught controls",
-    "(iv) wires": "the same wires control themselves",
+    "(iv)": "wires fitted on the skeleton control",
+    "(iv) network": "the network that they taught controls in their place",
 }
 PAPERS_OWN = ("(i)", "(ii)", "(iii)", "(i) no copy")
 Rows = tuple[tuple[float, ...], ...]
@@ -66,7 +66,7 @@ def relearned(
 def wired(
     old: Schema, motions: tuple[Motion, ...], settings: RobotSettings, seed: int
 ) -> dict[str, BodyModel]:
-    """By method iv: the network alone, and the wires."""
+    """By method iv: the wires, and the network that they taught, each by itself."""
     schema = by_wires(old, motions, settings.spare[0].name, settings, seed=seed)
     model = served(schema, settings.body_file, settings.joints)
-    return {"(iv)": replace(schema, wires=None), "(iv) wires": model}
+    return {"(iv)": model, "(iv) network": replace(schema, wires=None)}

@@ -20,7 +20,7 @@ from services.body_schema.network import Array
 from services.body_schema.schema import Schema
 from services.body_schema.wires import STRETCH_TERMS, Geometry, Wires, stretch_terms
 
-SITE_SIGMA_M = 0.01  # of hands that fix a module, about the nominal place
+SITE_SIGMA_M = 0.005  # each way, of hands that fix a module where it nominally is
 OFFSET_SIGMA_M = 1.0  # nobody knows where an encoder began
 STRETCH_SIGMA_M = 0.005  # of each term, where nothing is known of any element
 STRETCH_MEAN_M = (0.001, 0.0, 0.003, 0.0)

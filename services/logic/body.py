@@ -218,8 +218,10 @@ class Body:
         rng = np.random.default_rng([self._seed, len(known), self.schema_version])
         bias_n = (growth.bias_min_n, growth.bias_max_n)
         range_rad = self._arm.skeleton.range_rad
-        first = spread_targets(learned, range_rad, len(known), bias_n, rng)
-        return first + spread_targets(checked, range_rad, len(known), bias_n, rng)
+        here = self._arm.reference_rad
+        first = spread_targets(learned, range_rad, len(known), bias_n, rng, here)
+        last = np.array(first[-1].angle_rad) if first else here
+        return first + spread_targets(checked, range_rad, len(known), bias_n, rng, last)
 
     def _end(self, growth: Growth, *, cancelled: bool = False) -> None:
         record, memory = growth.record, self._notebook.memory

@@ -285,23 +285,32 @@ def spread_targets(
     muscles: int,
     bias_n: tuple[float, float],
     rng: np.random.Generator,
+    start_rad: Array,
 ) -> tuple[Target, ...]:
     """Postures and guest tensions that lie far apart, in an order that travels far.
 
-    `range_rad` is (N, 2); `muscles` is the number of the old schema's muscles. A maximin Latin
+    `range_rad` is (N, 2); `muscles` is the number of the old schema's muscles; the arm is at
+    `start_rad` (N,) and goes to the farthest posture first. A maximin Latin
     hypercube (Morris & Mitchell 1995): each quantity is stratified over its whole range, and of
     many such designs the one is taken whose nearest two motions lie farthest apart. Random motions
     leave gaps, and gaps are what a few motions cannot afford (science.md).
     """
     if count == 0:
         return ()
-    design = max((_hypercube(count, len(range_rad) + 1, rng) for _ in range(DESIGNS)), key=_nearest)
-    order = [int(rng.integers(count))]
+    low, high = range_rad.T
+    at = (start_rad - low) / (high - low)
+
+    def away(design: Array) -> Array:
+        return np.asarray(np.linalg.norm(design[:, :-1] - at, axis=1))
+
+    designs = (_hypercube(count, len(range_rad) + 1, rng) for _ in range(DESIGNS))
+    design = max(designs, key=_nearest if count > 1 else lambda one: float(away(one)[0]))
+    order: list[int] = []
     while len(order) < count:  # always on to the posture farthest from the present one
-        distance = np.linalg.norm(design[:, :-1] - design[order[-1], :-1], axis=1)
+        distance = away(design)
         distance[order] = -1.0
         order.append(int(np.argmax(distance)))
-    low, high = range_rad.T
+        at = design[order[-1], :-1]
     margin = RANGE_MARGIN * (high - low)
     postures = low + margin + design[order, :-1] * (high - low - 2.0 * margin)
     biases = bias_n[0] + design[order, -1] * (bias_n[1] - bias_n[0])

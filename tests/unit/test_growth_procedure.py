@@ -37,6 +37,7 @@ from services.logic.guests import GUEST_BIAS_N
 from tests.unit.arm_bench import DT_S, SETTINGS, SKELETON, Bench
 
 MUSCLES = (*SETTINGS.muscles, "biceps_3")
+START_RAD = np.zeros(2)
 GUEST_M = 0.03  # the guest's length, wherever the arm is
 LIMIT_MM = 4.0
 RETURN_RAD = (0.9,)
@@ -148,7 +149,9 @@ def grown(schema: Schema, reference_m: float) -> Schema:
 
 def new_record(kind: str = "grow", n_new: int = 3, n_check: int = 2) -> GrowthRecord:
     rng = np.random.default_rng(5)
-    targets = spread_targets(n_new + n_check, SKELETON.range_rad, 3, (8.0, 35.0), rng)
+    targets = spread_targets(
+        n_new + n_check, SKELETON.range_rad, 3, (8.0, 35.0), rng, START_RAD[:1]
+    )
     return GrowthRecord(
         kind=kind,
         muscle="biceps_3",
@@ -445,7 +448,7 @@ RANGE_RAD = np.array([[-0.1, 2.3], [0.0, 1.0]])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_targets_are_stratified_over_every_range(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    targets = spread_targets(count, RANGE_RAD, 3, (8.0, 35.0), rng)
+    targets = spread_targets(count, RANGE_RAD, 3, (8.0, 35.0), rng, START_RAD)
     assert len(targets) == count
     low, high = RANGE_RAD.T
     margin = RANGE_MARGIN * (high - low)
@@ -461,8 +464,16 @@ def test_targets_are_stratified_over_every_range(count: int, seed: int) -> None:
     assert floors.min() >= 0.0 and floors.max() <= FLOOR_SPREAD_N
 
 
+def test_the_first_target_is_far_from_where_the_arm_is() -> None:
+    for start in (np.array([0.0]), np.array([2.2])):
+        (one,) = spread_targets(1, RANGE_RAD[:1], 3, (8.0, 35.0), np.random.default_rng(0), start)
+        assert abs(one.angle_rad[0] - start[0]) > 0.8 * np.ptp(RANGE_RAD[0])
+
+
 def test_targets_travel_far_from_one_to_the_next() -> None:
-    targets = spread_targets(9, RANGE_RAD[:1], 3, (8.0, 35.0), np.random.default_rng(0))
+    targets = spread_targets(
+        9, RANGE_RAD[:1], 3, (8.0, 35.0), np.random.default_rng(0), START_RAD[:1]
+    )
     angles = np.array([target.angle_rad[0] for target in targets])
     steps = np.abs(np.diff(angles))
     assert steps.mean() > np.ptp(angles) / 3  # of points in random order a third would do
@@ -470,9 +481,9 @@ def test_targets_travel_far_from_one_to_the_next() -> None:
 
 def test_targets_are_the_seeds_own_and_no_motion_is_no_target() -> None:
     def made(seed: int) -> object:
-        return spread_targets(5, RANGE_RAD, 3, (8.0, 35.0), np.random.default_rng(seed))
+        return spread_targets(5, RANGE_RAD, 3, (8.0, 35.0), np.random.default_rng(seed), START_RAD)
 
     assert made(1) == made(1) != made(2)
-    assert spread_targets(0, RANGE_RAD, 3, (8.0, 35.0), np.random.default_rng(0)) == ()
-    (one,) = spread_targets(1, RANGE_RAD, 3, (8.0, 35.0), np.random.default_rng(0))
+    assert spread_targets(0, RANGE_RAD, 3, (8.0, 35.0), np.random.default_rng(0), START_RAD) == ()
+    (one,) = spread_targets(1, RANGE_RAD, 3, (8.0, 35.0), np.random.default_rng(0), START_RAD)
     assert -0.1 < one.angle_rad[0] < 2.3

@@ -1,0 +1,71 @@
+"""Write docs/science.md's tables and pictures from docs/results/*.json: `python -m docs.results`.
+
+Each JSON is what `python -m experiments NAME --json FILE` wrote: every single run.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+from experiments.plots import draw_over_n
+from experiments.tables import markdown_table, ordering_lines
+
+HERE = Path(__file__).parent
+PAGE = HERE / "science.md"
+EXPERIMENTS = ("elbow", "arm", "lift")
+
+
+def results(name: str) -> Path:
+    """The committed results of one experiment."""
+    return HERE / "results" / f"{name}.json"
+
+
+def render(name: str) -> str:
+    """Tables of all measures, and which method is lower for each N_new."""
+    runs, measures = _runs(name), importlib.import_module(f"experiments.{name}").MEASURES
+    told = [measure for measure in measures if any(measure.figure in r["figures"] for r in runs)]
+    tables = [markdown_table(measure, runs) for measure in told]
+    claimed = [measure for measure in told if measure.claims]
+    orders = [
+        line for measure in claimed for line in ordering_lines(measure, runs) if "paper:" in line
+    ]
+    return "\n\n".join([*tables, "\n".join(["```", *orders, "```"]) if orders else ""]).strip()
+
+
+def with_results(page: str) -> str:
+    """The page with all results between their markers."""
+    for name in EXPERIMENTS:
+        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+        if begin in page and results(name).exists():
+            before, _, rest = page.partition(begin)
+            page = f"{before}{begin}\n{render(name)}\n{end}{rest.partition(end)[2]}"
+    return page
+
+
+def draw(name: str) -> list[Path]:
+    """One picture for each control."""
+    module = importlib.import_module(f"experiments.{name}")
+    runs, files = _runs(name), []
+    for control in dict.fromkeys(run["control"] for run in runs):
+        some = [run for run in runs if run["control"] == control]
+        measures = [m for m in module.MEASURES if any(m.figure in r["figures"] for r in some)]
+        path = HERE / "pictures" / f"{name}-{control}"
+        title = f"{name}, control: {control}"
+        files += draw_over_n(
+            path, measures[:2], some, title=title, known=list(module.CHOICES.methods)
+        )
+    return files
+
+
+def _runs(name: str) -> list[Any]:
+    return list(json.loads(results(name).read_text(encoding="utf-8"))["runs"])
+
+
+if __name__ == "__main__":
+    PAGE.write_text(with_results(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for experiment in EXPERIMENTS:
+        if results(experiment).exists():
+            draw(experiment)
