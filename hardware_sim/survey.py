@@ -91,6 +91,7 @@ class ForeignBody:
         spec = self._spec.copy()
         home = copy.resolve().parent
         there = self._file.resolve().parent
+        spec.modelfiledir = str(home)
         spec.meshdir = os.path.relpath(there / spec.meshdir, home)
         spec.texturedir = os.path.relpath(there / spec.texturedir, home)
         copy.write_text(spec.to_xml(), encoding="utf-8")

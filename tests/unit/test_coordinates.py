@@ -11,6 +11,7 @@ import pytest
 from hardware_sim.geometry import Geometry
 from hardware_sim.plant import Plant
 from runtime import settings as s
+from runtime.body_names import read_body
 from runtime.coordinates import Coordinates, coordinates_of, quaternion, rotation_vector, turning
 from runtime.settings import SettingsError, load_robot
 from services.logic.skeleton import Skeleton
@@ -224,3 +225,27 @@ def test_robot_files_are_told_of_ball_and_tied_joints(tmp_path, body, joints, wo
     with pytest.raises(SettingsError) as error:
         load_robot(str(file))
     assert words in str(error.value)
+
+
+def test_names_and_ranges_are_read_with_their_default_classes(tmp_path):
+    file = tmp_path / "body.xml"
+    file.write_text("""
+    <mujoco><compiler angle="radian"/><default>
+      <default class="round"><joint type="ball" range="0 0.6"/></default>
+      <default class="straight"><joint type="slide"/></default>
+    </default><worldbody><body childclass="round"><joint name="hip"/>
+      <body><joint name="lift" class="straight" range="-0.1 0.2"/>
+        <body><joint name="knee" class="main" range="-1 1"/><joint name="toe" class="main"/></body>
+        <body><freejoint name="thing"/></body>
+    </body></body></worldbody><equality>
+      <joint joint1="toe" joint2="knee"/><joint joint1="knee" active="false"/>
+    </equality></mujoco>""")
+    body = read_body(file)
+    part = np.degrees(0.6) / np.sqrt(3.0)
+    assert body.joints == {
+        **{f"hip/{axis}": (pytest.approx(-part), pytest.approx(part)) for axis in "xyz"},
+        "lift": (pytest.approx(np.degrees(-0.1)), pytest.approx(np.degrees(0.2))),
+        "knee": (pytest.approx(np.degrees(-1.0)), pytest.approx(np.degrees(1.0))),
+        "toe": None,
+    }
+    assert body.tied == {"toe": "knee"}
