@@ -221,7 +221,8 @@ def print_failures(found: dict[str, Any], command: str = "body") -> None:
     for posture in failures[:SHOWN]:
         print(f"  {_posture(posture)}", file=sys.stderr)
     if len(failures) > SHOWN:
-        print(f"  and {len(failures) - SHOWN} more; --json names all", file=sys.stderr)
+        names_all = "; --json names all" if command == "body" else ""
+        print(f"  and {len(failures) - SHOWN} more{names_all}", file=sys.stderr)
 
 
 def _posture(posture: dict[str, Any]) -> str:

@@ -99,6 +99,8 @@ def _names(args: argparse.Namespace, foreign: ForeignBody) -> tuple[str, Path, P
 
 
 def _propose(args: argparse.Namespace, survey: Survey, name: str, out: Path, body: Path) -> int:
+    import numpy as np
+
     from experiments import proposal
     from experiments.body import Subject, print_body, print_failures, print_feasibility, report
     from experiments.feasibility import assess, postures
@@ -108,7 +110,8 @@ def _propose(args: argparse.Namespace, survey: Survey, name: str, out: Path, bod
 
     geometry = Geometry(body, survey.joints)
     drawn = postures(geometry.range_rad, TRIED)
-    worst_n = float(assess(geometry, drawn, proposal.FLOOR_N, args.most).least_peak_n.max())
+    tried = assess(geometry, drawn, proposal.FLOOR_N, args.most)
+    worst_n = float(tried.least_peak_n[tried.feasible].max(initial=0.0))
     asked = proposal.limits(geometry, drawn, worst_n, args.most)
     control = Control(tension_floor_n=asked.floor_n, tension_ceiling_n=asked.ceiling_n)
     subject = Subject(name, body, survey.joints, (), control)
@@ -119,10 +122,18 @@ def _propose(args: argparse.Namespace, survey: Survey, name: str, out: Path, bod
     held = found["cases"][0]["share"] == 1.0
     if not held:
         print_failures(found, "new")
+        narrow = proposal.narrowed(drawn, tried.feasible, geometry.range_rad)
+        if narrow is not None:
+            words = ", ".join(
+                f"{joint} {low:.0f} .. {high:.0f}"
+                for joint, (low, high) in zip(survey.joints, np.degrees(narrow), strict=True)
+            )
+            print(f"it can be held within {words} deg: narrow the ranges", file=sys.stderr)
     if (survey.doubts or not held) and not args.force:
         why = "its wires cannot hold it everywhere" if not held else "planning would go wrong"
         print(f"myograft: no robot file was written, as {why}; --force does", file=sys.stderr)
         return 1
+    unheld = [] if held else [f"held in {100 * tried.share:.0f} % of its postures only"]
     targets_deg = proposal.sweep(geometry, asked)
     text = robot_file(
         name,
@@ -133,7 +144,7 @@ def _propose(args: argparse.Namespace, survey: Survey, name: str, out: Path, bod
         proposal.rest(geometry, asked, targets_deg),
         targets_deg,
         worst_n,
-        [*survey.changes, *survey.doubts],
+        [*survey.changes, *survey.doubts, *unheld],
     )
     out.write_text(text, encoding="utf-8")
     load_robot(str(out))

@@ -30,6 +30,8 @@ CALM_M_S = 0.08  # of a wire on the way between targets: a third of what a modul
 FASTEST_DEG_S = 60.0
 CANDIDATES, TARGETS = 400, 12
 INNER = 0.8  # of the joints' ranges: targets keep clear of the stops
+SLICE = 0.05  # of a joint's range that is cut off at a time
+ENOUGH = 25  # postures that can be told by
 STOPS_ON_THE_WAY = (0.25, 0.5, 0.75)
 
 
@@ -80,9 +82,8 @@ def _share(rows: Sequence[str], number: int, count: int) -> Sequence[str]:
 
 
 def limits(geometry: Geometry, drawn: Array, worst_n: float, most_n: float) -> Limits:
-    """Limits for a body whose worst posture asks for `worst_n`; modules bear `most_n`."""
-    ceiling = max(RESERVE * worst_n if math.isfinite(worst_n) else math.inf, LEAST_CEILING_N)
-    ceiling = min(5.0 * math.ceil(ceiling / 5.0) if math.isfinite(ceiling) else ceiling, most_n)
+    """Limits for a body whose worst posture asks for `worst_n`; none plans above `most_n`."""
+    ceiling = min(5.0 * math.ceil(max(RESERVE * worst_n, LEAST_CEILING_N) / 5.0), most_n)
     # what a wire runs when all joints move at once, per rad/s of each
     arm_m = max(float(np.abs(geometry.at(posture)[1]).sum(axis=1).max()) for posture in drawn)
     speed_deg_s = min(math.degrees(CALM_M_S / arm_m), FASTEST_DEG_S)
@@ -93,6 +94,33 @@ def limits(geometry: Geometry, drawn: Array, worst_n: float, most_n: float) -> L
         joint_speed_deg_s=float(f"{speed_deg_s:.2g}"),
         n_new=min(5 + 2 * len(geometry.joints), 15),
     )
+
+
+def narrowed(angle_rad: Array, feasible: NDArray[np.bool_], range_rad: Array) -> Array | None:
+    """Ranges (N, 2) [rad] within which all of the postures (K, N) that were tried are feasible.
+
+    A slice is cut off that end of a joint whose slice has the largest share of failures, until none
+    is left. None when hardly any posture remains: then nothing is known.
+    """
+    box = range_rad.copy()
+    slices = (box[:, 1] - box[:, 0]) * SLICE
+    while True:
+        inside = ((angle_rad >= box[:, 0]) & (angle_rad <= box[:, 1])).all(axis=1)
+        if inside.sum() < ENOUGH:
+            return None
+        if feasible[inside].all():
+            return np.asarray(box)
+        worst, end = 0.0, (0, 0)
+        for joint, width in enumerate(slices):
+            for side, cut in ((0, box[joint, 0] + width), (1, box[joint, 1] - width)):
+                angle = angle_rad[:, joint]
+                off = inside & (angle <= cut if side == 0 else angle >= cut)
+                share = float((~feasible[off]).mean()) if off.any() else 0.0
+                if share > worst:
+                    worst, end = share, (joint, side)
+        if worst == 0.0:  # what fails lies in the middle
+            end = (int(np.argmax((box[:, 1] - box[:, 0]) / slices)), 1)
+        box[end] += slices[end[0]] * (1 if end[1] == 0 else -1)
 
 
 def sweep(geometry: Geometry, asked: Limits, seed: int = 0) -> Array:

@@ -41,7 +41,7 @@ def robot_file(
             "",
             "[control]",
             f"tension_floor_n = {asked.floor_n:.1f}",
-            f"# its worst posture asks the strongest muscle for {worst_n:.0f} N at least",
+            f"# the strongest muscle has to pull {worst_n:.0f} N at least, in the worst posture",
             f"tension_ceiling_n = {asked.ceiling_n:.1f}",
             f"joint_speed_deg_s = {asked.joint_speed_deg_s:.4g}  # no wire runs too fast",
             "settle_s = 1.0",

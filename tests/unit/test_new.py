@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from experiments.feasibility import assess
 from experiments.new import New
-from experiments.proposal import Limits, key, lines, sweep
+from experiments.proposal import Limits, key, lines, narrowed, sweep
 from hardware_sim.geometry import Geometry
 from hardware_sim.plant import Plant
 from runtime.cli.main import _run
@@ -265,12 +266,23 @@ def test_a_body_that_cannot_be_held_is_refused_with_the_report(tmp_path, capsys)
     assert new(body, "--out", out, "--fix-root") == 1
     said = capsys.readouterr()
     assert "no tensions hold it" in said.err and "least maximal tension" in said.out
+    assert "it can be held within" not in said.err  # nowhere
     assert sorted(tmp_path.iterdir()) == [body]  # neither robot file nor copy
     robot = made(tmp_path, body, "--fix-root", "--force")
     targets = np.radians([target for task in robot.task for target in task.targets_deg])
     for target in targets.reshape(-1, 1):  # what is proposed can be held even so
         held = assess(Geometry(robot.body_file), target[None], robot.control.tension_floor_n, 200.0)
         assert held.feasible.all()
+
+
+def test_where_a_body_can_be_held_is_told(tmp_path, capsys):
+    """Beyond some 60 degrees both wires turn it the same way."""
+    body = rod(tmp_path, joint='name="swing" axis="0 -1 0" range="-20 150"')
+    assert new(body, "--out", tmp_path / "robot.toml") == 1
+    told = re.search(r"within swing -20 .. (\d+) deg", capsys.readouterr().err)
+    assert told
+    narrow = rod(tmp_path, joint=f'name="swing" axis="0 -1 0" range="-20 {told[1]}"')
+    assert new(narrow, "--out", tmp_path / "robot.toml") == 0
 
 
 def test_more_tension_than_modules_bear_is_refused(tmp_path):
@@ -329,3 +341,12 @@ def test_a_sweep_goes_only_where_the_body_can_be_held(tmp_path):
     few, all_of_them = sweep(geometry, weak), sweep(geometry, strong)
     assert 0 < len(few) < len(all_of_them) == 12
     assert assess(geometry, np.radians(few), 8.0, 10.0).feasible.all()
+
+
+def test_ranges_are_narrowed_to_where_a_body_can_be_held():
+    limits = np.array([[-1.0, 1.0], [0.0, 2.0]])
+    tried = np.random.default_rng(3).uniform(*limits.T, (500, 2))
+    box = narrowed(tried, (tried[:, 0] < 0.6) & (tried[:, 1] > 0.1), limits)
+    assert box == pytest.approx(np.array([[-1.0, 0.6], [0.1, 2.0]]), abs=0.11)
+    assert narrowed(tried, np.ones(500, dtype=bool), limits) == pytest.approx(limits)
+    assert narrowed(tried, np.zeros(500, dtype=bool), limits) is None
