@@ -117,12 +117,9 @@ class Body:
 
     def ranges_deg(self, joints: Iterable[str]) -> dict[str, tuple[float, float] | None]:
         """How far each of these joints can turn; None where that is not limited."""
-        ranges: dict[str, tuple[float, float] | None] = {}
-        for name in joints:
-            joint = self._model.joint(name)
-            low, high = np.rad2deg(joint.range).tolist()
-            ranges[name] = (low, high) if low < high else None
-        return ranges
+        known = Coordinates(self._model, tuple(joints))
+        rows = zip(known.names, np.degrees(known.range_rad).tolist(), known.limited, strict=True)
+        return {name: (low, high) if limited else None for name, (low, high), limited in rows}
 
     def bounds_m(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner of everything that is drawn, in the world, in m."""

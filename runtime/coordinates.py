@@ -58,6 +58,7 @@ class Coordinates:
         names: theirs, in the order of all arrays (N,).
         range_rad: (N, 2), limits. A ball joint's is on its whole rotation: its components get the
             box that lies within. Joints without limits may turn half round either way.
+        limited: (N,), whether each has limits of its own.
         dof: (N,), where each moves alone; of a ball joint, near its zero.
     """
 
@@ -74,6 +75,7 @@ class Coordinates:
         plain: list[tuple[int, int, int]] = []  # column, qpos, dof
         self.dof = np.zeros(len(self.names), dtype=int)
         self.range_rad: Array = np.zeros((len(self.names), 2))
+        self.limited = np.zeros(len(self.names), dtype=bool)
         for column, name in enumerate(self.names):
             base, axis = (name, "") if name in known else _parted(name)
             joint = known.get(base, -1)
@@ -95,6 +97,7 @@ class Coordinates:
                 plain.append((column, qpos, dof))
                 self.dof[column] = dof
             self.range_rad[column] = range_rad(model, joint)
+            self.limited[column] = model.jnt_limited[joint]
         for joint, columns in balls.items():
             if len(columns) < len(AXES):
                 name = model.joint(joint).name

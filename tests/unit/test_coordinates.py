@@ -8,6 +8,7 @@ import mujoco as mj
 import numpy as np
 import pytest
 
+from dashboard.body import Body
 from hardware_sim.geometry import Geometry
 from hardware_sim.plant import Plant
 from runtime import settings as s
@@ -249,3 +250,15 @@ def test_names_and_ranges_are_read_with_their_default_classes(tmp_path):
         "toe": None,
     }
     assert body.tied == {"toe": "knee"}
+
+
+def test_the_picture_turns_balls_and_lets_tied_joints_follow():
+    ball = Body(settings("ball", SHOULDER, 0.0))
+    assert ball.ranges_deg(SHOULDER)["shoulder/y"] == pytest.approx((-34.641, 34.641), abs=1e-3)
+    ball.move({"shoulder/y": 0.2})
+    ball.move({"shoulder/z": 0.4, "nothing": 1.0})
+    assert ball.pose("upper_arm")[1] == pytest.approx(quaternion(np.array([0.0, 0.2, 0.4])))
+    finger = Body(settings("finger", FINGER, 0.0))
+    finger.move({"proximal": 0.0, "middle": 0.5})
+    bent = 0.5 + 0.6 * 0.5 + 0.15 * 0.25
+    assert finger.pose("distal_bone")[1] == pytest.approx(quaternion(np.array([0.0, -bent, 0.0])))
