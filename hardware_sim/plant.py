@@ -1,4 +1,4 @@
-"""The body in MuJoCo, with wires that muscle modules wind: the only file here that imports mujoco.
+"""The body in MuJoCo, with wires that muscle modules wind.
 
 Any MJCF with spatial tendons is a body. Each tendon becomes a wire: an elastic element (polynomial
 tendon spring) whose rest length is MuJoCo *state* (`springyield`), which the motor writes; friction

@@ -1,7 +1,6 @@
 """What the robot knows of its bones: masses and joints from the MJCF, stripped of its wires.
 
-Where the wires run is not known here: that is what the body schema learns. The only file of the
-services that imports mujoco.
+Where the wires run is not known here: that is what the body schema learns.
 """
 
 from __future__ import annotations
