@@ -14,6 +14,7 @@ import numpy as np
 
 from dashboard.canvas import Floats, Shape
 from dashboard.palette import Rgb
+from runtime.coordinates import Coordinates, coordinates_of
 from runtime.messages import MusclePath, Place
 from runtime.settings import RobotSettings
 
@@ -43,6 +44,7 @@ class Body:
     def _compile(self) -> None:
         self._model: Any = self._spec.compile()
         self._data: Any = mujoco.MjData(self._model)
+        self._coordinates = Coordinates(self._model, coordinates_of(self._model))
         self.links = tuple(self._model.body(i).name for i in range(1, self._model.nbody))
         self.muscles = tuple(self._model.tendon(i).name for i in range(self._model.ntendon))
 
@@ -62,10 +64,10 @@ class Body:
 
     def move(self, angle_rad: dict[str, float]) -> None:
         """Put the named joints at these angles (or positions in m); others stay."""
-        for name, angle in angle_rad.items():
-            joint = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_JOINT, name)
-            if joint >= 0:
-                self._data.qpos[self._model.jnt_qposadr[joint]] = angle
+        posture = self._coordinates.read(self._data.qpos)
+        for column, name in enumerate(self._coordinates.names):
+            posture[column] = angle_rad.get(name, posture[column])
+        self._coordinates.place(self._data.qpos, posture)
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_tendon(self._model, self._data)
@@ -115,12 +117,9 @@ class Body:
 
     def ranges_deg(self, joints: Iterable[str]) -> dict[str, tuple[float, float] | None]:
         """How far each of these joints can turn; None where that is not limited."""
-        ranges: dict[str, tuple[float, float] | None] = {}
-        for name in joints:
-            joint = self._model.joint(name)
-            low, high = np.rad2deg(joint.range).tolist()
-            ranges[name] = (low, high) if low < high else None
-        return ranges
+        known = Coordinates(self._model, tuple(joints))
+        rows = zip(known.names, np.degrees(known.range_rad).tolist(), known.limited, strict=True)
+        return {name: (low, high) if limited else None for name, (low, high), limited in rows}
 
     def bounds_m(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner of everything that is drawn, in the world, in m."""

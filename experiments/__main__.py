@@ -8,6 +8,7 @@ import sys
 
 from experiments.store import SweepError
 from runtime.cli.main import UsageError
+from runtime.settings import SettingsError
 
 EXPERIMENTS = {
     "learn": "a robot's first body schema, from motion under disturbed loads",
@@ -32,7 +33,7 @@ def main() -> int:
     module = importlib.import_module(f"experiments.{args.experiment}")
     try:
         return int(module.run(args))
-    except UsageError as error:
+    except (UsageError, SettingsError) as error:
         print(f"python -m experiments {args.experiment}: {error}", file=sys.stderr)
         return 2
     except SweepError as error:

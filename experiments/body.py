@@ -54,12 +54,12 @@ class Body:
             what = "spatial tendon" if geometry.joints else "hinge joint"
             raise UsageError(f"{subject.file}: has no {what}, so there is nothing to hold")
         found = report(subject, geometry, args.postures, args.seed)
-        _print_body(subject, geometry, found)
-        _print_feasibility(found)
+        print_body(subject, geometry, found)
+        print_feasibility(found)
         if args.json:
             args.json.write_text(json.dumps(found, indent=2) + "\n")
         if found["cases"][0]["share"] < 1.0:
-            _print_failures(found)
+            print_failures(found)
             return 1
         return 0
 
@@ -179,7 +179,8 @@ def finite(tension_n: float) -> float | None:
     return tension_n if tension_n < float("inf") else None
 
 
-def _print_body(subject: Subject, geometry: Geometry, found: dict[str, Any]) -> None:
+def print_body(subject: Subject, geometry: Geometry, found: dict[str, Any]) -> None:
+    """Joints and wires, one a line."""
     mass_kg = sum(geometry.mass_kg.values())
     print(
         f"{subject.name}: {len(geometry.joints)} joints, {len(geometry.wires)} wires,"
@@ -200,7 +201,8 @@ def _print_body(subject: Subject, geometry: Geometry, found: dict[str, Any]) -> 
         print(f"{row['name']:<{width}}{length:>16}  {words}")
 
 
-def _print_feasibility(found: dict[str, Any]) -> None:
+def print_feasibility(found: dict[str, Any]) -> None:
+    """What it takes to hold the postures, case by case."""
     print(
         f"\nleast maximal tension at {found['postures']} random postures (seed {found['seed']}),"
         f" no muscle below {found['tension_floor_n']:g} N"
@@ -214,13 +216,15 @@ def _print_feasibility(found: dict[str, Any]) -> None:
     print(f"worst posture: {_posture(found['cases'][0]['worst'])}")
 
 
-def _print_failures(found: dict[str, Any]) -> None:
+def print_failures(found: dict[str, Any], command: str = "body") -> None:
+    """The first postures that cannot be held."""
     failures = found["cases"][0]["not_held"]
-    print(f"myograft body: {len(failures)} postures cannot be held:", file=sys.stderr)
+    print(f"myograft {command}: {len(failures)} postures cannot be held:", file=sys.stderr)
     for posture in failures[:SHOWN]:
         print(f"  {_posture(posture)}", file=sys.stderr)
     if len(failures) > SHOWN:
-        print(f"  and {len(failures) - SHOWN} more; --json names all", file=sys.stderr)
+        names_all = "; --json names all" if command == "body" else ""
+        print(f"  and {len(failures) - SHOWN} more{names_all}", file=sys.stderr)
 
 
 def _posture(posture: dict[str, Any]) -> str:

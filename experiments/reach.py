@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 
+from experiments.oracle import Oracle
 from experiments.rig import Rig, RigTimeoutError
 from runtime import messages as m
 from runtime.messages import Message
@@ -25,6 +26,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", nargs="?", default="musashi_arm", help="robot or robot file")
     parser.add_argument("--task", default="reach")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--oracle", action="store_true", help="control by the body's truth: what friction leaves"
+    )
 
 
 class Watch:
@@ -65,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
     plant = rig.robot.plant
     start = time.perf_counter()
     rig.run(BEGIN_S)
+    if args.oracle:
+        rig.executive.arm.use(Oracle(rig))
     reply = rig.ask(m.Task(name=task.name))
     if not reply.ok:
         print(reply.text)

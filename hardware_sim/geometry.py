@@ -14,6 +14,7 @@ import mujoco as mj
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.coordinates import BALL, HINGE, Coordinates, coordinates_of
 from runtime.messages import MusclePath
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ class Load:
 
 
 class Geometry:
-    """Rigid body of N joints and M wires.
+    """Rigid body of N joint coordinates (`runtime/coordinates.py`) and M wires.
 
     Attributes:
         joints: names of the N joints.
@@ -46,7 +47,9 @@ class Geometry:
         attached: Sequence[tuple[str, MusclePath]] = (),
         load: Load | None = None,
     ) -> None:
-        """Read a body; `joints` are by default all hinges, `attached` wires come in addition.
+        """Read a body; `attached` wires come in addition to its own.
+
+        `joints` are by default all hinges and ball joints that no equality ties to another joint.
 
         Raises:
             ValueError: the file is no body, or a name in it does not exist.
@@ -63,21 +66,13 @@ class Geometry:
                 contype=0,
                 conaffinity=0,
             )
+        for number, joint in enumerate(spec.joints):
+            joint.name = joint.name or f"joint {number}"
         self._model = model = spec.compile()
         self._data = mj.MjData(model)
-        hinges = [model.joint(i) for i in range(model.njnt)]
-        hinges = [joint for joint in hinges if joint.type[0] == mj.mjtJoint.mjJNT_HINGE]
-        found = [model.joint(name) for name in joints] or hinges
-        self.joints = tuple(joint.name or f"joint {joint.id}" for joint in found)
-        self._qpos = np.array([int(joint.qposadr[0]) for joint in found], dtype=int)
-        self._dof = np.array([int(joint.dofadr[0]) for joint in found], dtype=int)
-        limited = [model.jnt_limited[joint.id] for joint in found]
-        self.range_rad: Array = np.array(
-            [
-                np.asarray(joint.range) if known else (-np.pi, np.pi)
-                for joint, known in zip(found, limited, strict=True)
-            ]
-        ).reshape(-1, 2)
+        self.joints = tuple(joints) or coordinates_of(model, (HINGE, BALL))
+        self._coordinates = Coordinates(model, self.joints)
+        self.range_rad: Array = self._coordinates.range_rad
         self.wires = tuple(model.tendon(i).name or f"wire {i}" for i in range(model.ntendon))
         self.wire_sites = tuple(_sites(model, i) for i in range(model.ntendon))
         self.mass_kg = {
@@ -95,7 +90,7 @@ class Geometry:
             wires must produce to hold the posture at rest: against gravity, load included.
         """
         model, data = self._model, self._data
-        data.qpos[self._qpos] = angle_rad
+        self._coordinates.place(data.qpos, angle_rad)
         mj.mj_kinematics(model, data)
         mj.mj_comPos(model, data)
         mj.mj_tendon(model, data)
@@ -106,8 +101,8 @@ class Geometry:
         jacobian[self._rows, model.ten_J_colind] = np.asarray(data.ten_J).reshape(-1)
         return (
             np.array(data.ten_length),
-            jacobian[:, self._dof],
-            np.array(data.qfrc_bias[self._dof]),
+            self._coordinates.pulled(jacobian, data.qpos),
+            np.array(self._coordinates.pulled(data.qfrc_bias, data.qpos)),
         )
 
     def site_m(self, site: str) -> Array:

@@ -1,4 +1,4 @@
-"""The body in MuJoCo, with wires that muscle modules wind: the only file here that imports mujoco.
+"""The body in MuJoCo, with wires that muscle modules wind.
 
 Any MJCF with spatial tendons is a body. Each tendon becomes a wire: an elastic element (polynomial
 tendon spring) whose rest length is MuJoCo *state* (`springyield`), which the motor writes; friction
@@ -24,6 +24,7 @@ from hardware_sim.wire_drive import (
     elastic_stretch_m,
     elastic_tension_n,
 )
+from runtime.coordinates import Coordinates
 from runtime.messages import MusclePath, Place
 from runtime.muscle_path import path_of_tendon
 from runtime.settings import RobotSettings
@@ -70,22 +71,22 @@ class Plant:
     @property
     def angle_rad(self) -> Array:
         """True joint angles, shape (N,)."""
-        return np.asarray(self.data.qpos[self._qpos])
+        return self._coordinates.read(self.data.qpos)
 
     @property
     def velocity_rad_s(self) -> Array:
         """True joint velocities, shape (N,)."""
-        return np.asarray(self.data.qvel[self._dof])
+        return self._coordinates.rates(self.data.qvel, self.data.qpos)
 
     @property
     def range_rad(self) -> Array:
         """Limits of the joints, shape (N, 2)."""
-        return np.array([self.model.joint(name).range for name in self.joints])
+        return self._coordinates.range_rad
 
     @property
     def inertia_kg_m2(self) -> Array:
         """What each joint alone has to turn in the body's zero posture, shape (N,)."""
-        return np.asarray(self.model.dof_M0[self._dof])
+        return np.asarray(self.model.dof_M0[self._coordinates.dof])
 
     @property
     def wire_length_m(self) -> Array:
@@ -114,7 +115,7 @@ class Plant:
 
     def torque_nm(self, torque_nm: Array) -> None:
         """Disturb the joints by outside torques, shape (N,), until told otherwise."""
-        self.data.qfrc_applied[self._dof] = torque_nm
+        self._coordinates.push(torque_nm, self.data.qpos, self.data.qfrc_applied)
 
     def payload_m(self, name: str) -> Array:
         """Where a payload truly is, shape (3,), in the world's frame."""
@@ -317,9 +318,7 @@ class Plant:
         tendon.solimp_friction = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 
     def _bind(self) -> None:
-        joint = [self.model.joint(name) for name in self.joints]
-        self._qpos = np.array([int(j.qposadr[0]) for j in joint])
-        self._dof = np.array([int(j.dofadr[0]) for j in joint])
+        self._coordinates = Coordinates(self.model, self.joints)
         # Views, as finding them takes longer than using them. Rest length is the second of each
         # tendon's two plastic states.
         self._rest_length = self.data.plastic.reshape(-1)[1::2]
@@ -338,8 +337,8 @@ class Plant:
             self.model.tendon_stiffnesspoly[index] = scale * stiffness[1:]
 
     def _rest(self) -> None:
-        for index, joint in enumerate(self.settings.joint):
-            self.data.qpos[self._qpos[index]] = np.radians(joint.rest_deg)
+        rest_rad = np.radians([joint.rest_deg for joint in self.settings.joint])
+        self._coordinates.place(self.data.qpos, rest_rad)
         mj.mj_forward(self.model, self.data)
         stretch = elastic_stretch_m(START_TENSION_N, self.simulation.elastic_n_m)
         self._rest_length[:] = self._path_length - stretch

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator
 
 from runtime.body_names import BodyError, BodyNames, read_body
+from runtime.coordinates import AXES, parts
 from runtime.messages import MusclePath, Place
 from runtime.settings import RobotSettings
 from runtime.settings_file import Mistake, close_file, shown, suggestion
@@ -35,6 +36,20 @@ def body_mistakes(settings: RobotSettings) -> Iterator[Mistake]:
         if joint.name not in body.joints:
             hint = suggestion(joint.name, body.joints)
             yield Mistake(("joint", index, "name"), f"no joint '{joint.name}' in {body.file}{hint}")
+        elif joint.name in body.tied:
+            leader = body.tied[joint.name]
+            how = f"follows '{leader}'" if leader else "is held still"
+            yield Mistake(
+                ("joint", index, "name"),
+                f"joint '{joint.name}' {how} by an equality in {body.file}: nobody commands it;"
+                " remove this [[joint]]",
+            )
+        elif missing := _missing_parts(joint.name, settings, body):
+            yield Mistake(
+                ("joint", index, "name"),
+                f"'{joint.name}' is a part of a ball joint and goes with all three; add a [[joint]]"
+                f" '{missing[0]}'",
+            )
     for index, muscle in enumerate(settings.muscle):
         if muscle.name not in body.tendons:
             hint = suggestion(muscle.name, body.tendons)
@@ -54,6 +69,13 @@ def body_mistakes(settings: RobotSettings) -> Iterator[Mistake]:
                     f"payload '{payload.name}': no body '{name}' in {body.file}{hint}",
                 )
     yield from _angles(settings, body)
+
+
+def _missing_parts(name: str, settings: RobotSettings, body: BodyNames) -> list[str]:
+    base, _, axis = name.rpartition("/")
+    if axis not in AXES or not set(parts(base)) <= body.joints.keys():
+        return []
+    return [part for part in parts(base) if part not in settings.joints]
 
 
 def _angles(settings: RobotSettings, body: BodyNames) -> Iterator[Mistake]:

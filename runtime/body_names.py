@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+
+from runtime.coordinates import part_limit, parts
 
 
 class BodyError(ValueError):
@@ -18,7 +20,9 @@ class BodyNames:
     """Names that a robot file may refer to, and how far the joints go."""
 
     file: str
-    joints: dict[str, tuple[float, float] | None] = field(default_factory=dict)  # range, deg
+    # coordinates -> range in deg; of a slide, 1 m counts as 1 rad
+    joints: dict[str, tuple[float, float] | None] = field(default_factory=dict)
+    tied: dict[str, str] = field(default_factory=dict)  # joint -> the one it follows, or ""
     tendons: set[str] = field(default_factory=set)  # spatial ones: each is a wire
     links: set[str] = field(default_factory=set)
     wraps: set[str] = field(default_factory=set)  # geoms
@@ -38,7 +42,7 @@ def read_body(path: Path) -> BodyNames:
     compiler = root.find("compiler")
     in_radian = compiler is not None and compiler.get("angle") == "radian"
     to_deg = 180.0 / math.pi if in_radian else 1.0
-    defaults = dict(_joint_ranges(root))
+    defaults = dict(_joint_styles(root))
     for world in root.iter("worldbody"):
         names.links.add("world")
         for element, style in _within(world, "main"):
@@ -50,11 +54,29 @@ def read_body(path: Path) -> BodyNames:
             elif element.tag == "site":
                 names.sites.add(name)
             elif element.tag == "joint":
-                limits = element.get("range") or defaults.get(element.get("class", style), "")
-                hinge = element.get("type", "hinge") == "hinge"
-                names.joints[name] = _range_deg(limits, to_deg) if hinge else None
+                like = {**defaults.get(element.get("class", style), {}), **element.attrib}
+                names.joints.update(_coordinates(name, like, to_deg))
+    for tie in root.iterfind("equality/joint"):
+        if tie.get("active", "true") == "true":
+            names.tied[tie.get("joint1", "")] = tie.get("joint2", "")
     names.tendons.update(wire.get("name", "") for wire in root.iterfind("tendon/spatial"))
     return names
+
+
+def _coordinates(
+    name: str, like: Mapping[str, str], to_deg: float
+) -> Iterator[tuple[str, tuple[float, float] | None]]:
+    """What a robot file may call a joint's angles, and how far they go; see `coordinates.py`."""
+    kind = like.get("type", "hinge")
+    if kind == "free":
+        return
+    limits = _range_deg(like.get("range", ""), math.degrees(1.0) if kind == "slide" else to_deg)
+    if kind != "ball":
+        yield name, limits
+        return
+    most = part_limit(limits[1]) if limits else 0.0
+    for part in parts(name):
+        yield part, (-most, most) if limits else None
 
 
 def _range_deg(text: str, to_deg: float) -> tuple[float, float] | None:
@@ -91,18 +113,20 @@ def _parse(path: Path, within: tuple[Path, ...]) -> ET.Element:
     return root
 
 
-def _joint_ranges(root: ET.Element) -> Iterator[tuple[str, str]]:
-    """Default class -> its joints' range, inherited from the classes around it."""
+def _joint_styles(root: ET.Element) -> Iterator[tuple[str, dict[str, str]]]:
+    """Default class -> its joints' attributes, inherited from the classes around it."""
 
-    def walk(style: ET.Element, name: str, inherited: str) -> Iterator[tuple[str, str]]:
+    def walk(
+        style: ET.Element, name: str, inherited: dict[str, str]
+    ) -> Iterator[tuple[str, dict[str, str]]]:
         joint = style.find("joint")
-        limits = inherited if joint is None else joint.get("range", inherited)
-        yield name, limits
+        own = {**inherited, **({} if joint is None else joint.attrib)}
+        yield name, own
         for child in style.iterfind("default"):
-            yield from walk(child, child.get("class", ""), limits)
+            yield from walk(child, child.get("class", ""), own)
 
     for top in root.iterfind("default"):
-        yield from walk(top, top.get("class", "main"), "")
+        yield from walk(top, top.get("class", "main"), {})
 
 
 def _within(parent: ET.Element, style: str) -> Iterator[tuple[ET.Element, str]]:

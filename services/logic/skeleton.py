@@ -1,7 +1,6 @@
 """What the robot knows of its bones: masses and joints from the MJCF, stripped of its wires.
 
-Where the wires run is not known here: that is what the body schema learns. The only file of the
-services that imports mujoco.
+Where the wires run is not known here: that is what the body schema learns.
 """
 
 from __future__ import annotations
@@ -12,11 +11,13 @@ import mujoco as mj
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.coordinates import Coordinates
+
 Array = NDArray[np.float64]
 
 
 class Skeleton:
-    """Rigid body of N joints, in the order of `joints`.
+    """Rigid body of N joint coordinates, in the order of `joints` (`runtime/coordinates.py`).
 
     Attributes:
         range_rad: (N, 2) limits of the joints.
@@ -28,17 +29,16 @@ class Skeleton:
         spec = mj.MjSpec.from_file(str(body_file))
         for actuator in list(spec.actuators):
             spec.delete(actuator)
-        for tendon in list(spec.tendons):
-            spec.delete(tendon)
+        pairs = [tie for tie in spec.equalities if tie.type == mj.mjtEq.mjEQ_TENDON]
+        for thing in [*pairs, *spec.tendons]:
+            spec.delete(thing)
         self._model = spec.compile()
         self._data = mj.MjData(self._model)
-        found = [self._model.joint(name) for name in joints]
-        self._qpos = np.array([int(j.qposadr[0]) for j in found])
-        self._dof = np.array([int(j.dofadr[0]) for j in found])
+        self._coordinates = Coordinates(self._model, joints)
         self._load_kg = 0.0
         self._load_body, self._load_m = 0, np.zeros(3)
         self._load_jacobian = np.zeros((3, self._model.nv))
-        self.range_rad: Array = np.array([np.asarray(j.range) for j in found])
+        self.range_rad: Array = self._coordinates.range_rad
 
     def carry(self, link: str, position_m: tuple[float, float, float], mass_kg: float) -> None:
         """From now on a link carries a mass at a position in its frame; 0 kg: nothing."""
@@ -50,7 +50,7 @@ class Skeleton:
 
         What is carried counts: J^T m g, J of its centre of mass.
         """
-        self._data.qpos[self._qpos] = angle_rad
+        self._coordinates.place(self._data.qpos, angle_rad)
         mj.mj_kinematics(self._model, self._data)
         mj.mj_comPos(self._model, self._data)
         mj.mj_crb(self._model, self._data)
@@ -64,4 +64,4 @@ class Skeleton:
             jacobian = self._load_jacobian
             mj.mj_jac(self._model, self._data, jacobian, None, centre_m, self._load_body)
             torque = torque - self._load_kg * self._model.opt.gravity @ jacobian
-        return self.gravity_scale * np.asarray(torque[self._dof])
+        return self.gravity_scale * self._coordinates.pulled(torque, self._data.qpos)

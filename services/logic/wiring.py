@@ -15,6 +15,7 @@ import mujoco as mj
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.coordinates import Coordinates
 from runtime.messages import MusclePath, Place
 from runtime.muscle_path import path_of_tendon
 from services.body_schema.model import BodyModel
@@ -57,7 +58,9 @@ class Wiring:
         self, body_file: Path, joints: tuple[str, ...], paths: Mapping[str, MusclePath]
     ) -> None:
         spec = mj.MjSpec.from_file(str(body_file))
-        for thing in [*spec.actuators, *spec.equalities, *spec.tendons]:
+        # what ties joints to each other stays: they move the wires too
+        others = [tie for tie in spec.equalities if tie.type != mj.mjtEq.mjEQ_JOINT]
+        for thing in [*spec.actuators, *others, *spec.tendons]:
             spec.delete(thing)
         names: list[str] = []
         for muscle, path in paths.items():
@@ -74,9 +77,7 @@ class Wiring:
         self.paths = tuple(paths.values())
         self._model = spec.compile()
         self._data = mj.MjData(self._model)
-        found = [self._model.joint(name) for name in joints]
-        self._qpos = np.array([int(j.qposadr[0]) for j in found])
-        self._dof = np.array([int(j.dofadr[0]) for j in found])
+        self._coordinates = Coordinates(self._model, joints)
         self._site = np.array([self._model.site(name).id for name in names])
         self._body = self._model.site_bodyid[self._site]
         self.wire_of_site = np.array([self.muscles.index(name.rsplit("/", 1)[0]) for name in names])
@@ -99,7 +100,7 @@ class Wiring:
         mj.mju_sparse2dense(
             dense, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind
         )
-        return data.ten_length.copy(), dense[:, self._dof]
+        return data.ten_length.copy(), self._coordinates.pulled(dense, data.qpos)
 
     def lengths_and_site_slopes(self, theta: Array) -> tuple[Array, Array]:
         """Lengths (M,) [m] and the slope of each site's wire by the site (P, 3), link's frame."""
@@ -119,7 +120,7 @@ class Wiring:
 
     def _move(self, theta: Array) -> None:
         data = self._data
-        data.qpos[self._qpos] = theta
+        self._coordinates.place(data.qpos, theta)
         mj.mj_kinematics(self._model, data)
         mj.mj_comPos(self._model, data)
         mj.mj_tendon(self._model, data)
