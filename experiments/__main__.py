@@ -13,9 +13,11 @@ from runtime.settings import SettingsError
 EXPERIMENTS = {
     "learn": "a robot's first body schema, from motion under disturbed loads",
     "elbow": "the paper's first experiment: one joint, a fourth muscle is added",
+    "arm": "the paper's second: five joints, an eleventh muscle is added",
+    "lift": "the paper's third: a dumbbell is lifted, a third shoulder muscle is added",
     "place": "places for a body's wires, so that its postures can be held",
     "reach": "a task in the rig: how near it comes to its targets",
-    "lift": "what carrying a payload asks of the muscles, before anything is learned",
+    "carry": "what carrying a payload asks of the muscles, before anything is learned",
     "grow": "the demo's sequence in the rig, for one or many seeds",
 }
 

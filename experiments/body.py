@@ -88,6 +88,8 @@ def _read(word: str) -> Subject:
 
     path = Path(word)
     if path.suffix == ".xml":
+        if not path.is_file():
+            raise UsageError(f"{path}: no such file")
         return Subject(path.stem, path, (), (), Control())
     try:
         robot = load_robot(word)

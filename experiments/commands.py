@@ -16,20 +16,26 @@ if TYPE_CHECKING:  # the command is listed without importing what it runs
     from experiments.score import Score
     from experiments.sequence import Result, Trace
     from experiments.session import Session
-    from runtime.settings import Module, RobotSettings
+    from runtime.settings import RobotSettings
 
-PAPER = {"before": ("0.0214", "7.74", "-"), "after": ("0.0245", "3.54", "-")}
+PAPER = {  # robot -> figure -> what the paper has
+    "elbow": {"e_theta_rad": "0.0214 -> 0.0245", "sigma_f_n": "7.74 -> 3.54"},
+    "musashi_arm": {"e_theta_rad": "0.526 -> 0.329"},
+    "musashi_w": {"peak_tension_n": "215 -> 118"},
+}
 
 
 class Demo:
-    """Sweep, plug in a muscle, let the robot learn it, sweep again.
+    """Run a task, plug in a muscle, let the robot learn it, run the task again.
 
-    Starts a new robot's process group, moves the arm through its sweep, plugs the spare muscle into
-    the running daisy chain, lets the robot take it in and relearn its body schema, sweeps again,
-    and parks. Ends with a table, a recording (.rrd) and a picture (.png).
+    Starts a new robot's process group, runs the robot file's first task, plugs the spare muscle
+    into the running daisy chain, lets the robot take it in and relearn its body schema, runs the
+    task again, and parks. Ends with a table, a recording (.rrd) and a picture (.png).
 
     Examples:
       myograft demo
+      myograft demo musashi_arm        five joints reach ten targets
+      myograft demo musashi_w          two arms, a dumbbell goes from one table to another
       myograft demo --view             watch it live in Rerun
       myograft demo --speed 2          robot time twice as fast as wall time
       myograft demo --seed 3 --json result.json
@@ -81,6 +87,9 @@ def _demo(args: argparse.Namespace) -> int:
     if not settings.spare:
         print(f"{settings.file}: no [[spare]] to plug in; add one", file=sys.stderr)
         return 2
+    if not settings.task:
+        print(f"{settings.file}: no [[task]] to run; add one", file=sys.stderr)
+        return 2
     run_dir = new_run_dir(settings.name)
     trace = Trace(settings)
     start = time.monotonic()
@@ -108,7 +117,7 @@ def _demo(args: argparse.Namespace) -> int:
         "recording": str(recording or ""),
         "summary_png": str(picture),
     }
-    _print(result, figures, settings.module, time.monotonic() - start)
+    _print(settings, result, figures, time.monotonic() - start)
     if args.picture:
         shutil.copyfile(picture, args.picture)
     if args.json:
@@ -120,29 +129,30 @@ def _figures(score: Score) -> dict[str, float]:
     return {name: round(value, 5) for name, value in asdict(score).items()}
 
 
-def _rows(result: Result) -> list[tuple[str, ...]]:
+def _rows(settings: RobotSettings, result: Result) -> list[tuple[str, ...]]:
     before, after = result.before, result.after
+    paper = PAPER.get(Path(settings.file).stem, {})
 
-    def row(name: str, unit: str, field: str, digits: int, paper: int) -> tuple[str, ...]:
+    def row(name: str, unit: str, field: str, digits: int) -> tuple[str, ...]:
         b, a = getattr(before, field), getattr(after, field)
         return (
             f"{name} [{unit}]",
             f"{b:.{digits}f}",
             f"{a:.{digits}f}",
             f"{a / b:.2f}",
-            f"{PAPER['before'][paper]} -> {PAPER['after'][paper]}" if paper < 2 else "",
+            paper.get(field, ""),
         )
 
     return [
-        ("", "before", "after", "ratio", "paper, (i) N=15"),
-        row("E_theta", "rad", "e_theta_rad", 4, 0),
-        row("sigma_f", "N", "sigma_f_n", 2, 1),
-        row("peak tension", "N", "peak_tension_n", 1, 2),
+        ("", "before", "after", "ratio", "paper"),
+        row("E_theta", "rad", "e_theta_rad", 4),
+        row("sigma_f", "N", "sigma_f_n", 2),
+        row("peak tension", "N", "peak_tension_n", 1),
     ]
 
 
-def _print(result: Result, figures: dict[str, Any], limits: Module, wall_s: float) -> None:
-    rows = _rows(result)
+def _print(settings: RobotSettings, result: Result, figures: dict[str, Any], wall_s: float) -> None:
+    limits, rows = settings.module, _rows(settings, result)
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     print()
     for row in rows:
@@ -169,7 +179,7 @@ def _draw(settings: RobotSettings, run_dir: Path, trace: Trace, result: Result) 
     from dashboard.summary import draw_summary
 
     path = run_dir / "summary.png"
-    rows = [row[:3] for row in _rows(result)]
+    rows = [row[:3] for row in _rows(settings, result)]
     draw_summary(
         path,
         time_s=trace.time_s,

@@ -95,24 +95,47 @@ def least_peak(
         ceiling_n: greatest tension of each wire.
         counted: (M,) the wires whose maximum is made small; by default all.
     """
-    m, n = jacobian.shape
-    curvature = np.diag(np.full(m + 1, CURVATURE_1_N))
-    slope = np.append(np.zeros(m), 1.0)
-    # rows: f_i - t <= 0, then the balance; torques in units of a centimetre's arm
+    m = len(jacobian)
     chosen = np.ones(m, dtype=bool) if counted is None else counted
-    below_peak = np.hstack((np.eye(m), -np.ones((m, 1))))[chosen]
-    few = len(below_peak)
-    balance = 100.0 * np.hstack((jacobian.T, np.zeros((n, 1))))
-    rows = np.ascontiguousarray(np.vstack((below_peak, balance)))
-    low = np.concatenate((np.full(m + 1, floor_n), np.full(few, -1e30), -100.0 * torque_nm))
-    high = np.concatenate((np.full(m + 1, ceiling_n), np.zeros(few), -100.0 * torque_nm))
-    sense = np.zeros(len(low), dtype=np.int32)
-    sense[-n:] = EQUALITY
-    x, _, flag, _ = daqp.solve(curvature, slope, rows, high, low, sense)
-    if flag < 0:
-        return None
-    tension = np.asarray(x[:m], dtype=float)
-    return tension if holds(jacobian, torque_nm, tension) else None
+    below_peak = np.hstack((np.eye(m), -np.ones((m, 1))))[chosen]  # f_i - t <= 0
+    x = _solve(
+        np.full(m + 1, CURVATURE_1_N),
+        np.append(np.zeros(m), 1.0),
+        np.full(m + 1, floor_n),
+        np.full(m + 1, ceiling_n),
+        np.vstack((jacobian, np.zeros(jacobian.shape[1]))),
+        torque_nm,
+        below_peak,
+    )
+    return None if x is None else x[:m]
+
+
+def least_norm(jacobian: Array, torque_nm: Array, floor_n: float, ceiling_n: float) -> Array | None:
+    """Tensions (M,) [N] that carry a torque with the smallest norm, as the executive shares it."""
+    m = len(jacobian)
+    low, high = np.full(m, floor_n), np.full(m, ceiling_n)
+    return _solve(np.ones(m), np.zeros(m), low, high, jacobian, torque_nm, np.empty((0, m)))
+
+
+def _solve(
+    curvature: Array,
+    slope: Array,
+    low: Array,
+    high: Array,
+    jacobian: Array,
+    torque_nm: Array,
+    below_zero: Array,
+) -> Array | None:
+    """Least x^T diag(c) x / 2 + slope^T x with low <= x <= high, rows below 0, and the balance."""
+    per_cm = 100.0  # the balance in units of a centimetre's arm
+    rows = np.ascontiguousarray(np.vstack((below_zero, per_cm * jacobian.T)))
+    lower = np.concatenate((low, np.full(len(below_zero), -1e30), -per_cm * torque_nm))
+    upper = np.concatenate((high, np.zeros(len(below_zero)), -per_cm * torque_nm))
+    sense = np.zeros(len(lower), dtype=np.int32)
+    sense[-len(torque_nm) :] = EQUALITY
+    x, _, flag, _ = daqp.solve(np.diag(curvature), slope, rows, upper, lower, sense)
+    found = np.asarray(x, dtype=float)
+    return found if flag >= 0 and holds(jacobian, torque_nm, found) else None
 
 
 def holds(jacobian: Array, torque_nm: Array, tension_n: Array) -> bool:

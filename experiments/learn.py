@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.collect import Array, Recording, collect_old
+from experiments.imperfect import learn_drawn
 from experiments.progress import bars
 from runtime.settings import load_robot
 from services.body_schema.motions import SLACK_N
@@ -19,7 +20,8 @@ from services.body_schema.schema import Schema
 
 HELD_OUT_EVERY = 10
 DURATION_S = 500.0
-# Of training for bodies of more than one joint, chosen on musashi_arm's held-out samples.
+# For bodies of more than one joint: tried on musashi_arm, not searched.
+LARGER_DURATION_S = 1500.0
 LARGER_STEPS, LARGER_BATCH, LARGER_RATE = 60_000, 256, 2e-3
 
 
@@ -28,7 +30,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("robot", nargs="?", default="elbow", help="robot or robot file")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--seconds", type=float, default=DURATION_S, help="robot time of motion to learn from"
+        "--seconds",
+        type=float,
+        help=f"robot time of motion to learn from; default: {DURATION_S:g},"
+        f" for more than one joint {LARGER_DURATION_S:g}",
+    )
+    parser.add_argument(
+        "--drawing-off-mm",
+        type=float,
+        metavar="MM",
+        help="learn from the body's file instead of motion, every site that far off",
     )
     parser.add_argument("--out", type=Path, help="default: the robot file's schema")
     parser.add_argument("--quick", action="store_true", help="a tenth of motion and training")
@@ -41,8 +52,18 @@ def run(args: argparse.Namespace) -> int:
     if out is None:
         print(f"{settings.file}: [robot] names no schema; give --out FILE")
         return 2
-    seconds = args.seconds / (10 if args.quick else 1)
     start = time.monotonic()
+    if args.drawing_off_mm is not None:
+        with bars() as narrate:
+            schema = learn_drawn(
+                settings,
+                args.drawing_off_mm * 1e-3,
+                args.seed,
+                lambda epoch, epochs, *_: narrate("train", epoch, epochs),
+            )
+        return _write(schema, out, start)
+    usual = DURATION_S if len(settings.joints) == 1 else LARGER_DURATION_S
+    seconds = (args.seconds or usual) / (10 if args.quick else 1)
     with bars() as narrate:
         recording = collect_old(
             settings, args.seed, seconds, lambda s: narrate("collect", round(100 * s), 100)
@@ -56,9 +77,13 @@ def run(args: argparse.Namespace) -> int:
     length_mm, angle_rad = held_out(schema, recording)
     words = ", ".join(f"{n} {v:.2f} mm" for n, v in zip(schema.muscles, length_mm, strict=True))
     print(f"held-out samples: length (mask 110) {words}; angle (mask 011) {angle_rad:.4f} rad")
+    return _write(schema, out, start)
+
+
+def _write(schema: Schema, out: Path, start_s: float) -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_bytes(schema.to_bytes())
-    print(f"{out.stat().st_size / 1000:.0f} kB in {out}, after {time.monotonic() - start:.0f} s")
+    print(f"{out.stat().st_size / 1000:.0f} kB in {out}, after {time.monotonic() - start_s:.0f} s")
     return 0
 
 

@@ -1,102 +1,98 @@
-"""`python -m experiments lift`: what carrying a task's payload asks of the muscles, at rest.
+"""The paper's third experiment: a heavy dumbbell goes from a low table to a high one.
 
-Along the way points between grasp and release the least maximal tension of one role's muscles is
-looked for, with all tensions between the robot's floor and ceiling: before, and with the spare
-muscles of that role plugged in. Nothing rubs, nothing is learned: this is what the body's geometry
-allows.
+Two shoulder-pitch muscles carry it, a third is added; N_new = 17. Before and after, the same task
+runs with real contact. Here the peak decides: every model shares by least ||f||^2 (`norm`) and by
+least greatest tension (`peak`).
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from experiments.feasibility import Array, least_peak
-from hardware_sim.geometry import Geometry, Load
-from runtime.messages import MusclePath
-from runtime.settings import Payload, RobotSettings, TaskPath, load_robot
+from experiments import options
+from experiments.comparison import Comparison
+from experiments.methods import METHODS
+from experiments.options import Choices
+from experiments.report import carry_out
+from experiments.rig import Rig
+from experiments.score import SweepScorer
+from experiments.sequence import run_scored
+from experiments.session import RigSession
+from experiments.statistics import Run
+from experiments.sweep import Unit
+from experiments.tables import Measure
+from experiments.variants import LIFT_VARIANTS
+from runtime.messages import Message, WorldTruth
 
-BETWEEN = 4  # pieces into which the way from one target to the next is cut
+TASK, ROLE = "lift", "shoulder_pitch"
+CHOICES = Choices(
+    experiment="lift",
+    n_new=(17,),
+    methods={name: METHODS[name] for name in ("(iii)", "(iv)", "(iv) wires")},
+    variants={name: variant.text for name, variant in LIFT_VARIANTS.items()},
+    quick_n_new=(5,),
+    quick_seeds=1,
+)
+MEASURES = (
+    Measure("peak_n", "peak", "N", 0, paper={("before", 0): 215.0, ("(iii)", 17): 118.0}),
+    Measure("share_sd_n", "spread at the peak", "N", 1),
+    Measure("e_theta_rad", "E_theta", "rad", 3),
+    Measure("collect_peak_n", "greatest tension while collecting", "N", 0),
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Options of `lift`."""
-    parser.add_argument("robot", nargs="?", default="musashi_w", help="robot or robot file")
-    parser.add_argument("--task", default="lift")
-    parser.add_argument("--role", default="shoulder_pitch", help="whose tensions are compared")
-
-
-@dataclass(frozen=True)
-class Point:
-    """One posture on the way, and the least that the role's strongest muscle has to pull there."""
-
-    target: float  # 3.25: a quarter of the way from target 3 to 4
-    before_n: float
-    after_n: float
+    options.configure(parser, CHOICES)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the way points and the cut of the peak; 0 when all can be held."""
-    settings = load_robot(args.robot)
-    task = next((task for task in settings.task if task.name == args.task), None)
-    if task is None or not task.payload:
-        print(f"{settings.file}: no task '{args.task}' that carries a payload")
-        return 2
-    try:
-        points = list(along(settings, task, args.role))
-    except ValueError as error:
-        print(f"{settings.file}: {error}")
-        return 2
-    print(f"least peak of the '{args.role}' muscles with '{task.payload}' in the hand, at rest")
-    print(f"{'target':>7}{'before':>11}{'with spare':>13}")
-    for point in points:
-        print(f"{point.target:7.2f}{point.before_n:9.1f} N{point.after_n:11.1f} N")
-    before, after = (max(p.before_n for p in points), max(p.after_n for p in points))
-    print(f"peak {before:.1f} N -> {after:.1f} N: {100 * (after / before - 1):+.1f} %")
-    return 0 if np.isfinite(before) and np.isfinite(after) else 1
+    """Run the sweep; tell, draw and keep what it found."""
+    chosen = options.read(args, CHOICES)
+    work = partial(one_unit, methods=chosen.methods, quick=chosen.quick)
+    title = "a dumbbell is lifted, a third shoulder-pitch muscle is added"
+    return carry_out(CHOICES, chosen, work, LIFT.fingerprint(), MEASURES, title=title)
 
 
-def along(settings: RobotSettings, task: TaskPath, role: str) -> Iterator[Point]:
-    """The points from grasp to release; infinite tension where the limits allow none.
-
-    Raises:
-        ValueError: no muscle has the role.
-    """
-    payload = next(row for row in settings.payload if row.name == task.payload)
-    spares = [(row.name, row.path) for row in settings.spare if row.role == role]
-    named = {row.name for row in settings.muscle if row.role == role}
-    if not named:
-        raise ValueError(f"no muscle has the role '{role}'")
-    named |= {name for name, _ in spares}
-    old = _loaded(settings, payload, [])
-    new = _loaded(settings, payload, spares)
-    targets = np.radians(task.targets_deg)
-    for leg in range(task.grasp_at - 1, task.release_at - 1):
-        last = leg == task.release_at - 2
-        for piece in range(BETWEEN + last):
-            share = piece / BETWEEN
-            posture = targets[leg] + share * (targets[leg + 1] - targets[leg])
-            yield Point(
-                leg + 1 + share,
-                *(_peak_n(body, posture, settings, named) for body in (old, new)),
-            )
+def one_unit(unit: Unit, methods: tuple[str, ...], quick: bool) -> list[Run]:
+    """Everything of one robot, one variant and one number of motions."""
+    return LIFT.unit(unit, methods, quick)
 
 
-def _loaded(
-    settings: RobotSettings, payload: Payload, spares: list[tuple[str, MusclePath]]
-) -> Geometry:
-    load = Load(payload.mass_kg, payload.link, payload.position_m)
-    return Geometry(settings.body_file, settings.joints, spares, load)
+class Peak:
+    """Watches the tensions of one role's muscles, over the whole task."""
+
+    def __init__(self, muscles: tuple[str, ...]) -> None:
+        self.tension_n = np.zeros(len(muscles))  # of all, when one of them was at its greatest
+        self._muscles = muscles
+
+    def see(self, message: Message) -> None:
+        """Take in what was true."""
+        if not isinstance(message, WorldTruth):
+            return
+        there = dict(zip(message.muscles, message.tension_n, strict=True))
+        tension = np.array([there[name] for name in self._muscles if name in there])
+        if tension.max() > self.tension_n.max():
+            self.tension_n = tension
 
 
-def _peak_n(body: Geometry, posture: Array, settings: RobotSettings, named: set[str]) -> float:
-    _, jacobian, torque = body.at(posture)
-    counted = np.array([name in named for name in body.wires])
-    control = settings.control
-    found = least_peak(
-        jacobian, torque, control.tension_floor_n, control.tension_ceiling_n, counted
-    )
-    return float("inf") if found is None else float(found[counted].max())
+def score(rig: Rig) -> dict[str, float]:
+    """Peak of the shoulder-pitch muscles during the lift, and how evenly they share it."""
+    settings = rig.settings
+    muscles = tuple(x.name for x in settings.muscle if x.role == ROLE)
+    muscles += tuple(x.name for x in settings.spare if x.role == ROLE)
+    scorer, peak = SweepScorer(settings, TASK), Peak(muscles)
+    session = RigSession(rig)
+    session.watchers.append(peak.see)
+    run_scored(session, scorer, TASK)
+    return {
+        "peak_n": float(peak.tension_n.max()),
+        "share_sd_n": float(np.std(peak.tension_n)),
+        "e_theta_rad": float(np.mean([target.error_rad for target in scorer.targets()])),
+    }
+
+
+LIFT = Comparison("musashi_w", LIFT_VARIANTS, score, papers_control=False, shared=True)

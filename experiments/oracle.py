@@ -30,12 +30,9 @@ class Oracle:
             np.array([elastic_stretch_m(f, curve) for f in TABLE_N.tolist()])
             for curve in plant.elastic_n_m
         ]
-        self._offset_m = np.zeros(len(self.muscles))
         felt = rig.executive.arm.felt()
         measured = np.array([felt[name][0] for name in self.muscles])
-        truth = rig.robot.truth()
-        model = self.lengths(np.array(truth.angle_rad), np.array(truth.tension_n))
-        self._offset_m = measured - model
+        self._offset_m = measured - plant.wire_length_m  # where the encoders began
 
     def lengths(self, theta: Array, f: Array) -> Array:
         """As `BodyModel.lengths`, one sample."""

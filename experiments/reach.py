@@ -17,6 +17,7 @@ from runtime.messages import Message
 from runtime.settings import load_robot
 
 BEGIN_S = 0.5
+STAYS_S = 2.0  # a payload that was put down is watched for so long
 A_TARGET_S = 30.0  # of robot time: longer, and something is wrong
 
 
@@ -43,7 +44,9 @@ class Watch:
         """Take in a message."""
         if isinstance(message, m.ExecutiveState):
             self.state = message
-        if not isinstance(message, m.WorldTruth) or self.state is None or not self.state.task:
+        if not isinstance(message, m.WorldTruth) or self.state is None:
+            return
+        if not self.state.task or self.state.growing:  # growing, it counts other steps
             return
         step = self.state.step
         highest = max(range(len(message.muscles)), key=message.tension_n.__getitem__)
@@ -63,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
         return 2
     rig, watch = Rig(settings, args.seed), Watch()
     rig.watchers.append(watch.see)
+    plant = rig.robot.plant
     start = time.perf_counter()
     rig.run(BEGIN_S)
     if args.oracle:
@@ -79,6 +83,15 @@ def run(args: argparse.Namespace) -> int:
         )
     except RigTimeoutError as error:
         print(error)
+    for event in rig.events:
+        if event.level != "info" or event.kind in ("grasp", "release"):
+            print(f"{event.stamp_ns * 1e-9:7.1f} s  {event.text}")
+    if task.payload:
+        put = plant.payload_m(task.payload)
+        rig.run(STAYS_S)
+        moved_m = float(np.linalg.norm(plant.payload_m(task.payload) - put))
+        words = ", ".join(f"{name} {1000 * v:.0f}" for name, v in zip("xyz", put, strict=True))
+        print(f"'{task.payload}' ended at {words} mm and moved {1000 * moved_m:.1f} mm since")
     faster = rig.now_ns * 1e-9 / (time.perf_counter() - start)
     print(f"{'target':>6}{'error':>12}{'worst joint':>28}{'peak tension':>30}")
     errors = []

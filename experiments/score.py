@@ -19,14 +19,30 @@ class Score:
 
     Attributes:
         e_theta_rad: mean over targets of ||theta_ref - theta||.
-        sigma_f_n: mean over targets of the standard deviation (ddof 0) of the flexors' tensions;
-            a flexor that is not plugged in counts as 0 N.
+        sigma_f_n: mean over targets of the standard deviation (ddof 0) of the tensions of the
+            muscles in the spare's role, the flexors of an elbow; one that is not plugged in
+            counts as 0 N.
         peak_tension_n: greatest tension of any muscle during the sweep.
     """
 
     e_theta_rad: float
     sigma_f_n: float
     peak_tension_n: float
+
+
+@dataclass(frozen=True)
+class Settled:
+    """One target, while the arm rested there."""
+
+    error_rad: float  # ||theta_ref - theta||
+    tension_n: dict[str, float]  # mean, by muscle
+
+
+def alike(settings: RobotSettings) -> list[str]:
+    """The muscles in the same role as the first spare, itself last."""
+    role = settings.spare[0].role if settings.spare else ""
+    names = [x.name for x in settings.muscle if x.role == role]
+    return names + [x.name for x in settings.spare if x.role == role]
 
 
 class SweepScorer:
@@ -41,8 +57,7 @@ class SweepScorer:
         self._targets = np.radians(
             next(row.targets_deg for row in settings.task if row.name == task)
         )
-        self._flexors = [x.name for x in settings.muscle if x.role == "flexor"]
-        self._flexors += [x.name for x in settings.spare if x.role == "flexor"]
+        self._alike = alike(settings)
         self._states: list[ExecutiveState] = []
         self._truths: list[WorldTruth] = []
 
@@ -53,30 +68,47 @@ class SweepScorer:
         elif isinstance(message, WorldTruth):
             self._truths.append(message)
 
-    @property
-    def score(self) -> Score:
-        """The figures.
+    def targets(self) -> list[Settled]:
+        """What was true at each target while the arm rested there, on average.
 
         Raises:
             ValueError: the arm never settled at some target.
         """
         angles: dict[int, list[tuple[float, ...]]] = defaultdict(list)
-        tensions: dict[int, list[list[float]]] = defaultdict(list)
-        peak_n = 0.0
+        tensions: dict[int, list[tuple[float, ...]]] = defaultdict(list)
+        muscles: tuple[str, ...] = ()
         for state, truth in self._during_task():
-            peak_n = max(peak_n, *truth.tension_n)
             if state.settled and state.stage == "move":
-                tension = dict(zip(truth.muscles, truth.tension_n, strict=True))
+                muscles = truth.muscles
                 angles[state.step].append(truth.angle_rad)
-                tensions[state.step].append([tension.get(n, 0.0) for n in self._flexors])
+                tensions[state.step].append(truth.tension_n)
         missing = [k for k in range(1, len(self._targets) + 1) if not angles[k]]
         if missing:
             raise ValueError(f"the arm never settled at targets {missing} of '{self._task}'")
-        errors, spreads = [], []
-        for k, target in enumerate(self._targets, start=1):
-            errors.append(np.linalg.norm(target - np.mean(angles[k], axis=0)))
-            spreads.append(np.std(np.mean(tensions[k], axis=0)))
-        return Score(float(np.mean(errors)), float(np.mean(spreads)), peak_n)
+        return [
+            Settled(
+                float(np.linalg.norm(target - np.mean(angles[k], axis=0))),
+                dict(zip(muscles, np.mean(tensions[k], axis=0).tolist(), strict=True)),
+            )
+            for k, target in enumerate(self._targets, start=1)
+        ]
+
+    @property
+    def score(self) -> Score:
+        """The figures.
+
+        Raises:
+            ValueError: see `targets`.
+        """
+        targets = self.targets()
+        spreads = [
+            np.std([target.tension_n.get(name, 0.0) for name in self._alike]) for target in targets
+        ]
+        return Score(
+            e_theta_rad=float(np.mean([target.error_rad for target in targets])),
+            sigma_f_n=float(np.mean(spreads)),
+            peak_tension_n=max(max(truth.tension_n) for _, truth in self._during_task()),
+        )
 
     def _during_task(self) -> Iterator[tuple[ExecutiveState, WorldTruth]]:
         """Each truth of the task with the executive's last word before it."""

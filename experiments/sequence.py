@@ -1,4 +1,4 @@
-"""The demo's sequence: sweep, plug a muscle while the arm holds a posture, grow, sweep again, park.
+"""The demo's sequence: a task, a muscle plugged in while the arm holds, growth, the task again.
 
 Written against `Session`, so that the live group and the rig run the very same script.
 """
@@ -10,13 +10,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from experiments.score import Score, SweepScorer
+from experiments.score import Score, SweepScorer, alike
 from experiments.session import Session, SessionError
 from runtime import messages as m
 from runtime.messages import Message
 from runtime.settings import RobotSettings
 
-HOLD_DEG = 60.0  # where the arm holds while the muscle is plugged in
+HOLD_AT = 0.2  # of the task's targets: where the arm holds while the muscle is plugged in
+MANY = 8  # muscles; of more, a picture shows those alone with which the spare shares its work
 GROWTH_LIMIT_S = 240.0
 TASK_LIMIT_S = 300.0
 TRACE_NS = 50_000_000
@@ -41,15 +42,23 @@ class Trace:
     _chains: dict[str, m.ChainState] = field(default_factory=dict)
     _next_ns: int = 0
 
+    def __post_init__(self) -> None:
+        """The joint that is shown is the one that the task moves farthest."""
+        targets = np.array(self.settings.task[0].targets_deg)
+        self.joint = int(np.argmax(np.ptp(targets, axis=0)))
+
     def see(self, message: Message) -> None:
         """Take in what comes by."""
         if isinstance(message, m.ExecutiveState):
             if message.reference_rad:
-                self._reference = float(np.degrees(message.reference_rad[0]))
+                self._reference = float(np.degrees(message.reference_rad[self.joint]))
             if message.growing and message.stage in STAGES:
                 self._mark(message.stage, message.stamp_ns)
         elif isinstance(message, m.JointState):
-            self._measured = float(np.degrees(message.angle_rad[0]))
+            name = self.settings.joints[self.joint]
+            if name in message.joints:
+                angle = message.angle_rad[message.joints.index(name)]
+                self._measured = float(np.degrees(angle))
         elif isinstance(message, m.ChainState):
             self._chains[message.chain] = message
         elif isinstance(message, m.Event) and message.kind == "plugged":
@@ -59,7 +68,7 @@ class Trace:
             self.time_s.append(message.stamp_ns * 1e-9)
             self.angle_deg["reference"].append(self._reference)
             self.angle_deg["measured"].append(self._measured)
-            self.angle_deg["true"].append(float(np.degrees(message.angle_rad[0])))
+            self.angle_deg["true"].append(float(np.degrees(message.angle_rad[self.joint])))
             self.tension_n.append(
                 {
                     name: tension
@@ -76,6 +85,8 @@ class Trace:
     def tensions(self) -> dict[str, list[float]]:
         """Muscle -> tension over time; NaN while it is not there."""
         names = dict.fromkeys(name for row in self.tension_n for name in row)
+        if len(names) > MANY:
+            names = dict.fromkeys(name for name in alike(self.settings) if name in names)
         return {n: [row.get(n, float("nan")) for row in self.tension_n] for n in names}
 
 
@@ -102,9 +113,14 @@ def run_sequence(session: Session, trace: Trace, narrate: Narrate, spare: str = 
     spare = spare or settings.spare[0].name
     session.watchers.append(trace.see)
     session.wait(_in_stage("hold"), 60.0, "the arm holding")
-    before = score_sweep(session, narrate, "sweep before")
+    task = settings.task[0]
+    before = score_task(session, task.name, narrate, f"{task.name} before")
 
-    middle = {joint.name: float(np.radians(HOLD_DEG)) for joint in settings.joint}
+    held_deg = task.targets_deg[int(HOLD_AT * len(task.targets_deg))]
+    middle = {
+        joint.name: float(np.radians(deg))
+        for joint, deg in zip(settings.joint, held_deg, strict=True)
+    }
     session.ask(m.Reach(angle_rad=middle))
     session.wait(_resting_at(tuple(middle.values())), 20.0, "the arm holding a posture")
     candidates: list[m.SchemaCandidate] = []
@@ -123,7 +139,7 @@ def run_sequence(session: Session, trace: Trace, narrate: Narrate, spare: str = 
         raise SessionError(done.text)
     plugged_s = next(t for t, label in trace.marks if label == "plug")
 
-    after = score_sweep(session, narrate, "sweep after")
+    after = score_task(session, task.name, narrate, f"{task.name} after")
     narrate("park", 0, 1)
     session.ask(m.Task(name="park"))
     session.wait(_event("task_done"), 30.0, "the arm parking")
@@ -141,31 +157,42 @@ def run_sequence(session: Session, trace: Trace, narrate: Narrate, spare: str = 
     )
 
 
-def score_sweep(session: Session, narrate: Narrate, title: str) -> Score:
-    """Run the task `sweep` and score it.
+def score_task(session: Session, task: str, narrate: Narrate, title: str) -> Score:
+    """Run a task and score it.
 
     Raises:
         SessionError: it was refused, or did not end.
     """
-    scorer = SweepScorer(session.settings, "sweep")
+    scorer = SweepScorer(session.settings, task)
     steps = [0]
 
     def watch(message: Message) -> None:
-        scorer.see(message)
-        if not isinstance(message, m.ExecutiveState) or message.task != "sweep":
+        if not isinstance(message, m.ExecutiveState) or message.task != task:
             return
         if message.step != steps[0]:
             steps[0] = message.step
             narrate(title, message.step - 1, message.steps)
 
     session.watchers.append(watch)
-    session.ask(m.Task(name="sweep"))
-    done = session.wait(_event("task_done"), TASK_LIMIT_S, "the sweep")
-    session.wait(_truth_after(done.stamp_ns), 5.0, "the world's truth of the sweep's end")
+    run_scored(session, scorer, task)
     session.watchers.remove(watch)
     narrate(title, 1, 1)
+    return scorer.score
+
+
+def run_scored(session: Session, scorer: SweepScorer, task: str) -> None:
+    """Run a task under the scorer's eyes.
+
+    Raises:
+        SessionError: it was refused, did not end, or the arm never came to rest at a target.
+    """
+    session.watchers.append(scorer.see)
+    session.ask(m.Task(name=task))
+    done = session.wait(_event("task_done"), TASK_LIMIT_S, f"the task '{task}'")
+    session.wait(_truth_after(done.stamp_ns), 5.0, "the world's truth of the task's end")
+    session.watchers.remove(scorer.see)
     try:
-        return scorer.score
+        scorer.targets()
     except ValueError as error:
         raise SessionError(str(error)) from error
 

@@ -41,14 +41,16 @@ def start(
     model: BodyModel,
     collected: Collected | None = None,
     arm: type[Arm] = Arm,
+    *,
+    grows: bool = False,
 ) -> Rig:
-    """A robot that holds, controlled by a model; with `collected` as it stood and grows no more."""
+    """A robot that holds, controlled by a model; with `collected`, as it stood."""
     stores = copy.deepcopy(collected.stores) if collected else None
     rig = Rig(settings, seed, arm=arm, retrainer=False, stores=stores)
     if collected:
         rig.robot.restore(collected.robot, rig.now_ns)
     rig.executive.body.schema_version = 1
-    rig.executive.body.watchful = collected is None  # a bad schema lets wires hang: no rupture
+    rig.executive.body.watchful = grows  # a bad schema lets wires hang, which is no rupture
     rig.executive.arm.use(model)
     RigSession(rig).wait(
         lambda x: isinstance(x, m.ExecutiveState) and x.stage == "hold", 60.0, "the arm holding"
@@ -62,7 +64,7 @@ def collect(
     """Plug in the robot's spare and let the growth procedure collect its motions."""
     growth = msgspec.structs.replace(settings.growth, n_new=n_new)
     settings = msgspec.structs.replace(settings, growth=growth)
-    rig = start(settings, seed, model, arm=arm)
+    rig = start(settings, seed, model, arm=arm, grows=True)
     session = RigSession(rig)
     session.ask(m.Plug(muscle=settings.spare[0].name))
     body = rig.executive.body

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import msgspec
 
 from runtime.settings import RobotSettings
+from services.body_schema.schema import Schema
 from services.logic.arm import Arm
 from services.logic.skeleton import Skeleton
 
@@ -27,6 +28,15 @@ class Variant:
     text: str
     simulation: dict[str, float] = field(default_factory=dict)
     believed_load: float = 1.0
+    schema: str = ""  # file of another h_old than the robot file's, beside that
+
+    def old(self, settings: RobotSettings) -> Schema:
+        """h_old."""
+        file = settings.schema_file
+        assert file is not None
+        return Schema.from_bytes(
+            (file.with_name(self.schema) if self.schema else file).read_bytes()
+        )
 
     def settings(self, settings: RobotSettings) -> RobotSettings:
         """The robot of this variant."""
@@ -52,7 +62,40 @@ VARIANTS = {
     "moved2": Variant("old insertions 2 mm elsewhere since h_old", {"moved_m": 0.002}),
     "moved4": Variant("old insertions 4 mm elsewhere since h_old", {"moved_m": 0.004}),
     "stiff": Variant("the new muscle's elastic element twice as stiff", {"spare_stiffness": 2.0}),
-    "motor": Variant("friction at the motor too: readings lag by 5 %", {"motor_friction": 0.05}),
-    "soft": Variant("the new wire runs over a soft part", {"soft_part_m": 0.01}),
+    "motor": Variant(
+        "friction at the motor too: in motion readings are off by 5 %", {"motor_friction": 0.05}
+    ),
+    "soft": Variant("the new wire runs over a soft part", {"soft_part_m": 0.005}),
     "load": Variant("the load is known 10 % wrong", believed_load=1.1),
+}
+
+MODEL = "musashi_arm_model.safetensors"
+ARM_VARIANTS = {
+    "clean": Variant("h_old from the arm itself; nothing but the assembly error"),
+    "model": Variant("h_old from a geometric model, sites 20 mm off, no friction", schema=MODEL),
+    "moved4": Variant("old insertions 4 mm elsewhere since h_old", {"moved_m": 0.004}),
+    "stiff": Variant("the new muscle's elastic element twice as stiff", {"spare_stiffness": 2.0}),
+    "load": Variant("the load is known 10 % wrong", believed_load=1.1),
+    "all": Variant(
+        "h_old from the model; readings 10 % off in motion, a soft part, joints 5 mm and 15 mrad "
+        "off, noise tripled",
+        {
+            "motor_friction": 0.1,
+            "soft_part_m": 0.01,
+            "joint_error_m": 0.005,
+            "joint_error_rad": 0.015,
+            "tension_noise_n": 0.6,
+            "length_noise_m": 6e-5,
+            "angle_noise_rad": 3e-3,
+        },
+        schema=MODEL,
+    ),
+}
+
+LIFT_VARIANTS = {
+    "clean": Variant("h_old from the robot itself; nothing but the assembly error"),
+    "model": Variant(
+        "h_old from a geometric model, sites 20 mm off, no friction",
+        schema="musashi_w_model.safetensors",
+    ),
 }

@@ -64,11 +64,12 @@ class Chain:
         listening = [module for module in self.reachable() if module.baud == self.baud]
         errors = self._decoder.crc_errors
         reply = b""
-        for packet in self._decoder.feed(data):
-            if isinstance(packet, StatusPacket):
-                continue
+        packets = self._decoder.feed(data)
+        orders = [packet for packet in packets if not isinstance(packet, StatusPacket)]
+        if orders:
             for module in listening:
                 module.hear(now_ns)
+        for packet in orders:
             reply += self._serve(packet, listening)
         if errors != self._decoder.crc_errors:
             for module in listening:

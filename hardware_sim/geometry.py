@@ -71,7 +71,7 @@ class Geometry:
         self.joints = tuple(joints) or coordinates_of(model, (HINGE, BALL))
         self._coordinates = Coordinates(model, self.joints)
         self.range_rad: Array = self._coordinates.range_rad
-        self.wires = tuple(model.tendon(i).name for i in range(model.ntendon))
+        self.wires = tuple(model.tendon(i).name or f"wire {i}" for i in range(model.ntendon))
         self.wire_sites = tuple(_sites(model, i) for i in range(model.ntendon))
         self.mass_kg = {
             model.body(i).name: float(model.body_mass[i])

@@ -55,7 +55,10 @@ class Plant:
         self.model = self._spec.compile()
         self.data = mj.MjData(self.model)
         self.drive = WireDrive(
-            len(self.wires), settings.module.winding_speed_m_s, self.simulation.ambient_degc
+            len(self.wires),
+            settings.module.winding_speed_m_s,
+            self.simulation.ambient_degc,
+            self.simulation.heating_degc_n2,
         )
         self.ruptured: set[str] = set()
         self.grasp = Grasp(settings.payload)
@@ -102,7 +105,8 @@ class Plant:
     @property
     def elastic_n_m(self) -> list[tuple[float, float, float]]:
         """Each wire's true elastic curve, see `elastic_tension_n`."""
-        return [self.simulation.elastic_n_m for _ in self.wires]
+        a, b, c = self.simulation.elastic_n_m
+        return [(k * a, k * b, k * c) for k in self._stiffer.tolist()]
 
     @property
     def time_s(self) -> float:
@@ -124,6 +128,7 @@ class Plant:
         mj.mj_step1(self.model, self.data)
         stretch = self._path_length - self._rest_length
         tension: Array = elastic_tension_n(stretch, self._elastic_n_m)
+        tension *= self._stiffer
         if self.ruptured:
             tension[self._broken] = 0.0
         return tension
@@ -151,12 +156,17 @@ class Plant:
         rng = self._rng(name if name in self.paths else f"{self.seed}/{name}")
         places = (path.attachment, *path.relays)
         self._check_path(places)
+        soft = self.simulation.soft_part_m > 0.0 and not any(place.wrap for place in places)
         tendon = self._spec.add_tendon(name=name)
         for k, place in enumerate(places):
             if place.wrap:
-                tendon.wrap_geom(place.wrap, place.side)
+                padded = self.simulation.soft_part_m > 0.0
+                geom = self._soft_part(name, place) if padded else place.wrap
+                tendon.wrap_geom(geom, place.side)
                 continue
             site = f"{name}/{k}"
+            if soft and place is places[-1]:
+                tendon.wrap_geom(self._soft_part(name, place), "")
             position = np.asarray(place.position_m) + self._assembly_error(rng)
             self._spec.body(place.link).add_site(name=site, pos=position)
             tendon.wrap_site(site)
@@ -226,7 +236,7 @@ class Plant:
             raise ValueError("the snapshot's wires are in another order than the body's")
         self.ruptured = set(snapshot["ruptured"])
         self._steps = snapshot["steps"]
-        self.grasp.held = dict(snapshot["held"])
+        self.grasp.held = dict(snapshot.get("held", {}))
         self._bind()
         mj.mj_setState(self.model, self.data, np.array(snapshot["state"]), STATE)
         self._friction_n[:] = snapshot["friction_n"]
@@ -250,14 +260,53 @@ class Plant:
                     wrap.target.pos = wrap.target.pos + self._assembly_error(rng)
             self._as_wire(tendon)
             self.wires.append(tendon.name)
+        self._surprise()
         self._spec.option.timestep = DT_S
         self._spec.option.integrator = mj.mjtIntegrator.mjINT_EULER
+
+    def _surprise(self) -> None:
+        """Insertions and joints that are not where everybody believes; other ones for each seed."""
+        simulation, spec = self.simulation, self._spec
+        if simulation.moved_m:
+            for tendon in spec.tendons:
+                insertion = [w for w in tendon.path if w.type == mj.mjtWrap.mjWRAP_SITE][-1].target
+                direction = _direction(self._rng(f"{self.seed}/{tendon.name}/moved"))
+                insertion.pos = insertion.pos + simulation.moved_m * direction
+        if simulation.joint_error_m or simulation.joint_error_rad:
+            for name in self.joints:
+                joint, rng = spec.joint(name), self._rng(f"{self.seed}/{name}/joint")
+                joint.pos = joint.pos + simulation.joint_error_m * _direction(rng)
+                axis = joint.axis + simulation.joint_error_rad * _direction(rng)
+                joint.axis = axis / np.linalg.norm(axis)
+
+    def _soft_part(self, name: str, place: Place) -> str:
+        """A part that the skeleton does not have, in the way of a wire: the name of its geom.
+
+        Where the wire is laid around a geom, padding on that; else a ball halfway to its end.
+        """
+        part, radius = f"{name}/soft", self.simulation.soft_part_m
+        if place.wrap:
+            bone = self._spec.geom(place.wrap)
+            link = bone.parent
+            soft = link.add_geom(name=part, type=bone.type, pos=bone.pos, quat=bone.quat)
+            soft.fromto = bone.fromto
+            soft.size = bone.size + np.array([radius, 0.0, 0.0])
+        else:
+            at = 0.5 * np.asarray(place.position_m)
+            ball = mj.mjtGeom.mjGEOM_SPHERE
+            link = self._spec.body(place.link)
+            soft = link.add_geom(name=part, type=ball, size=[radius, 0.0, 0.0], pos=at)
+        soft.contype, soft.conaffinity, soft.mass = 0, 0, 1e-6
+        return part
 
     def _take_off(self, name: str) -> None:
         self._spec.delete(self._spec.tendon(name))
         for site in list(self._spec.sites):
             if site.name.startswith(f"{name}/"):
                 self._spec.delete(site)
+        for geom in list(self._spec.geoms):
+            if geom.name.startswith(f"{name}/"):
+                self._spec.delete(geom)
 
     def _as_wire(self, tendon: Any) -> None:
         tendon.stiffness = list(self.simulation.elastic_n_m)
@@ -277,11 +326,13 @@ class Plant:
         self._friction_n = self.model.tendon_frictionloss
         self._friction = np.array(np.sinh(self.simulation.wire_friction))
         self._elastic_n_m = self.simulation.elastic_n_m
+        added = self.simulation.spare_stiffness
+        self._stiffer = np.array([1.0 if name in self.paths else added for name in self.wires])
         self.grasp.bind(self.model, self.data)
         self._broken = np.array([name in self.ruptured for name in self.wires], dtype=bool)
         stiffness = np.array(self.simulation.elastic_n_m)
         for index, name in enumerate(self.wires):
-            scale = 0.0 if name in self.ruptured else 1.0
+            scale = 0.0 if name in self.ruptured else self._stiffer[index]
             self.model.tendon_stiffness[index] = scale * stiffness[0]
             self.model.tendon_stiffnesspoly[index] = scale * stiffness[1:]
 
@@ -306,3 +357,9 @@ class Plant:
 
     def _rng(self, text: str) -> np.random.Generator:
         return np.random.default_rng(zlib.crc32(text.encode()))
+
+
+def _direction(rng: np.random.Generator) -> Array:
+    """A random one, of length 1."""
+    vector = rng.normal(size=3)
+    return np.asarray(vector / np.linalg.norm(vector))

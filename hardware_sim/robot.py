@@ -29,6 +29,7 @@ STEP_NS = 1_000_000
 NOISE_BLOCK = 1000  # rows of noise drawn at once: a draw of one row costs as much as forty
 MUSCLE_FAULTS = ("rupture", "overheat")  # what only a muscle can have
 NO_NOISE: Array = np.zeros((0, 0, 0))  # the offsets changed: draw anew
+CREEP_M_S = 0.002  # wire speed beyond which friction at the motor is whole
 LOAD_CELL_OFFSET_N = 1.5  # spread of load cells that nobody tared
 
 
@@ -64,6 +65,7 @@ class SimulatedRobot:
         # raw readings are off by these: the load cell's offset and where the encoder began
         self._cell_offset_n = np.zeros(0)
         self._encoder_offset_m = np.zeros(0)
+        self._motor_friction = settings.simulation.motor_friction
         self._tension_n = np.zeros(0)
         self._stuck: dict[str, float] = {}  # what a stuck load cell [N] or angle sensor [rad] says
         self._assemble()
@@ -74,8 +76,11 @@ class SimulatedRobot:
         """One millisecond: sense, run the modules' loops, move."""
         plant = self.plant
         tension = plant.sense()
-        load, length = self._sensor_errors(len(tension))
+        errors = self._sensor_errors(len(tension))
+        load, length = errors[0], errors[1]  # unpacking takes three times as long
         load += tension
+        if self._motor_friction:
+            load -= self._motor_friction * tension * np.tanh(plant.drive.speed_m_s / CREEP_M_S)
         length += plant.wire_length_m
         for name, reading in self._stuck.items():
             if name in self._modules:
@@ -141,7 +146,12 @@ class SimulatedRobot:
             level="info",
             kind="plugged",
             text=f"muscle '{name}' was plugged into chain '{chain}'",
-            data={"muscle": name, "chain": chain, "serial": str(serial)},
+            data={
+                "muscle": name,
+                "chain": chain,
+                "serial": str(serial),
+                "path": msgspec.json.encode(path).decode(),
+            },
         )
 
     def unplug(self, request: m.Unplug) -> m.Event:

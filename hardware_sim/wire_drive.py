@@ -41,8 +41,15 @@ class WireDrive:
         peak_speed_m_s, peak_tension_n: greatest so far; of speed, either way.
     """
 
-    def __init__(self, count: int, speed_limit_m_s: float, ambient_degc: float) -> None:
+    def __init__(
+        self,
+        count: int,
+        speed_limit_m_s: float,
+        ambient_degc: float,
+        heating_degc_n2: float = HEATING_DEGC_N2,
+    ) -> None:
         self.ambient_degc = ambient_degc
+        self._heating = heating_degc_n2
         self._limit_m_s = speed_limit_m_s
         self._use(np.array([(0.0, ambient_degc, 0.0, 0.0)] * count, MOTOR))
 
@@ -67,7 +74,7 @@ class WireDrive:
 
     def warm(self, dt_s: float, tension_n: Array) -> None:
         """Let the windings warm or cool for `dt_s`, short against `THERMAL_TIME_S`."""
-        rise = HEATING_DEGC_N2 * tension_n * tension_n + self.ambient_degc - self.temperature_degc
+        rise = self._heating * tension_n * tension_n + self.ambient_degc - self.temperature_degc
         self.temperature_degc += rise * (dt_s / THERMAL_TIME_S)
 
     def _use(self, motors: NDArray[np.void]) -> None:

@@ -184,6 +184,23 @@ class JointEstimate(Message, frozen=True, kw_only=True):
     anomaly: tuple[float, ...]  # length residual over its usual size; above 3 is odd
 
 
+class Place(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A point of a wire: fixed on a link at a position, or laid around a wrapping geom."""
+
+    link: str = ""  # MJCF body
+    position_m: tuple[float, float, float] | None = None  # in the link's frame
+    wrap: str = ""  # MJCF geom (cylinder or sphere), instead of link and position
+    side: str = ""  # MJCF site on the side of the geom where the wire passes
+
+
+class MusclePath(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where a muscle module sits and how its wire runs: the paper's three hardware requirements."""
+
+    attachment: Place  # (1) where the module is fixed
+    direction: tuple[float, float, float]  # (2) where the wire leaves it, in the link's frame
+    relays: tuple[Place, ...]  # (3) relay points in order; the last is where the wire ends
+
+
 class Motion(msgspec.Struct, frozen=True, kw_only=True):
     """One motion as the sensors saw it: T samples of N joints and M muscles, row by row."""
 
@@ -232,6 +249,7 @@ class TrainingJob(Message, frozen=True, kw_only=True):
     method: str = "iv"
     seed: int = 0
     motions: tuple[Motion, ...] = ()
+    paths: dict[str, MusclePath] = {}  # how added wires nominally run, as far as anybody said
 
 
 class TrainingProgress(Message, frozen=True, kw_only=True):
@@ -268,23 +286,6 @@ class ExecutiveState(Message, frozen=True, kw_only=True):
 
 
 # ── requests ──────────────────────────────────────────────────────────────────────────────────
-
-
-class Place(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A point of a wire: fixed on a link at a position, or laid around a wrapping geom."""
-
-    link: str = ""  # MJCF body
-    position_m: tuple[float, float, float] | None = None  # in the link's frame
-    wrap: str = ""  # MJCF geom (cylinder or sphere), instead of link and position
-    side: str = ""  # MJCF site on the side of the geom where the wire passes
-
-
-class MusclePath(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where a muscle module sits and how its wire runs: the paper's three hardware requirements."""
-
-    attachment: Place  # (1) where the module is fixed
-    direction: tuple[float, float, float]  # (2) where the wire leaves it, in the link's frame
-    relays: tuple[Place, ...]  # (3) relay points in order; the last is where the wire ends
 
 
 class Plug(Message, frozen=True, kw_only=True):

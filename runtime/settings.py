@@ -8,6 +8,7 @@ line and remedy.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
@@ -88,6 +89,7 @@ class Control(_Table, frozen=True, kw_only=True):
     stiffness_n_m: float = 20_000.0
     joint_speed_deg_s: float = 60.0
     settle_s: float = 0.6
+    sharing: Literal["norm", "peak"] = "norm"  # least ||f||^2, or least greatest tension
 
 
 class Growth(_Table, frozen=True, kw_only=True):
@@ -130,6 +132,14 @@ class Simulation(_Table, frozen=True, kw_only=True):
     wire_friction: float = 0.2  # mu phi: friction is tension * sinh(mu phi)
     elastic_n_m: tuple[float, float, float] = (1000.0, 0.0, 7.5e7)  # f = a e + b e^2 + c e^3
     ambient_degc: float = 25.0
+    heating_degc_n2: float = 0.0075  # steady rise of a winding per squared tension
+    # what nobody expects, for experiments; see experiments/variants.py
+    moved_m: float = 0.0  # old insertions sit this far from where h_old learned them
+    spare_stiffness: float = 1.0  # of an added muscle's elastic element, over the usual one's
+    motor_friction: float = 0.0  # a load cell reads this share too much while its motor winds
+    soft_part_m: float = 0.0  # radius of a part that an added wire runs over
+    joint_error_m: float = 0.0  # joints sit this far from where the skeleton has them ...
+    joint_error_rad: float = 0.0  # ... and their axes are turned by this much
 
 
 class RobotSettings(_Table, frozen=True, kw_only=True):

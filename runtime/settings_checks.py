@@ -73,6 +73,7 @@ RANGES = (
     _Range("simulation", "length_noise_m", low_too=True),
     _Range("simulation", "angle_noise_rad", low_too=True),
     _Range("simulation", "wire_friction", high=2, low_too=True),
+    _Range("simulation", "heating_degc_n2", low_too=True),
     _Range("simulation", "ambient_degc", low=-40, high=80, low_too=True),
 )
 

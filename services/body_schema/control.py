@@ -20,6 +20,8 @@ from services.body_schema.model import BodyModel
 from services.body_schema.network import Array
 
 TORQUE_WEIGHT = 1e8  # per (Nm)^2 against 1 per N^2: with 30 mm of moment arm, 1e-5 is given away
+PEAK_WEIGHT = 1e3  # of the greatest tension squared, against 1 of each
+PEAK_MARGIN = 1.01  # that much above the least peak the norm decides
 CONVERGED_N = 0.01
 ROUNDS = 50
 
@@ -42,6 +44,7 @@ def plan(
     f_min: Array | float,
     f_max: Array | float,
     f_start: Array | None = None,
+    sharing: str = "norm",
 ) -> Plan:
     """The smallest tensions that give a torque at a posture, by the schema.
 
@@ -52,6 +55,7 @@ def plan(
         f_min: (M,) or scalar [N], below f_max.
         f_max: (M,) or scalar [N].
         f_start: (M,) [N]: where to begin; the last plan's tensions save rounds.
+        sharing: `norm` asks for the least ||f||^2, `peak` for the least greatest tension.
 
     Raises:
         ValueError: f_min exceeds f_max, or something is not finite.
@@ -64,7 +68,7 @@ def plan(
     step, last_move = 1.0, np.zeros(m)
     for _ in range(ROUNDS):
         length, g = schema.lengths_and_jacobian(theta_ref, f)
-        move = _smallest_tensions(g, torque_required_nm, low, high) - f
+        move = _smallest_tensions(g, torque_required_nm, low, high, sharing) - f
         size = float(np.abs(move).max())
         if size < CONVERGED_N:
             break
@@ -81,13 +85,37 @@ def plan(
     )
 
 
-def _smallest_tensions(g: Array, torque_nm: Array, low: Array, high: Array) -> Array:
-    """Minimise ||f||^2 + weight ||tau + G^T f||^2, low <= f <= high: (M,) [N]."""
+def _smallest_tensions(g: Array, torque_nm: Array, low: Array, high: Array, sharing: str) -> Array:
+    """Minimise ||f||^2 + weight ||tau + G^T f||^2, low <= f <= high: (M,) [N].
+
+    For the least peak, `high` comes down to it first.
+    """
+    m = len(low)
     weighted = TORQUE_WEIGHT * g  # (M, N)
     h = weighted @ g.T
-    h.flat[:: len(low) + 1] += 1.0
-    no_rows = np.empty((0, len(low)))
-    f, _, exit_flag, _ = daqp.solve(h, weighted @ torque_nm, no_rows, high, low)
+    h.flat[:: m + 1] += 1.0
+    linear = weighted @ torque_nm
+    if sharing == "peak":
+        peak = _least_peak(h, linear, low, high)
+        high = np.maximum(low, np.minimum(high, PEAK_MARGIN * peak))
+    return _solved(h, linear, np.empty((0, m)), high, low)
+
+
+def _least_peak(h: Array, linear: Array, low: Array, high: Array) -> float:
+    """The least t for which all f <= t will do: minimise the same and `PEAK_WEIGHT` t^2."""
+    m = len(low)
+    with_peak = np.zeros((m + 1, m + 1))
+    with_peak[:m, :m] = h
+    with_peak[m, m] = PEAK_WEIGHT
+    rows = np.hstack((np.eye(m), -np.ones((m, 1))))
+    most = high.max()
+    above = np.concatenate((high, [most], np.zeros(m)))
+    below = np.concatenate((low, [0.0], np.full(m, -most)))
+    return float(_solved(with_peak, np.append(linear, 0.0), rows, above, below)[m])
+
+
+def _solved(h: Array, linear: Array, rows: Array, above: Array, below: Array) -> Array:
+    x, _, exit_flag, _ = daqp.solve(h, linear, rows, above, below)
     if exit_flag < 0:
         raise ValueError(f"no tensions found (daqp exit flag {exit_flag})")
-    return np.asarray(f, dtype=float)
+    return np.asarray(x, dtype=float)

@@ -53,16 +53,26 @@ def taut(theta: Array, f: Array, length: Array) -> tuple[Array, Array, Array]:
 
 
 def residuals_m(schema: BodyModel, motions: Sequence[Motion]) -> Array:
-    """Root mean square of l - mask 110 for each muscle (M,) [m], in taut samples.
+    """Root mean square of l - mask 110 for each muscle (M,) [m], where its own wire is taut.
 
     The motions' columns are schema.joints and schema.muscles.
 
     Raises:
-        TrainingError: see `taut_samples`.
+        TrainingError: a muscle is taut in fewer than ten samples; or see `taut_samples`.
     """
-    theta, f, length = taut_samples(motions, len(schema.joints), len(schema.muscles))
-    residual: Array = np.sqrt(((length - schema.lengths(theta, f)) ** 2).mean(axis=0))
-    return residual
+    theta = stacked([motion.angle_rad for motion in motions], len(schema.joints))
+    f = stacked([motion.tension_n for motion in motions], len(schema.muscles))
+    length = stacked([motion.length_m for motion in motions], len(schema.muscles))
+    if not len(theta) == len(f) == len(length):
+        raise TrainingError("angles, tensions and lengths are not equally many")
+    counts = (f >= SLACK_N).sum(axis=0)
+    if not len(f) or counts.min() < FEWEST:
+        slackest = schema.muscles[int(np.argmin(counts))]
+        raise TrainingError(
+            f"{slackest} is taut in {counts.min()} of {len(f)} samples, {FEWEST} are needed"
+        )
+    squares = np.where(f >= SLACK_N, (length - schema.lengths(theta, f)) ** 2, 0.0)
+    return np.asarray(np.sqrt(squares.sum(axis=0) / counts))
 
 
 def refit(

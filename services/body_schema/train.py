@@ -29,6 +29,7 @@ from services.body_schema.network import (
     Weights,
     initial_weights,
 )
+from services.body_schema.polish import polished
 from services.body_schema.schema import Schema
 from services.body_schema.train_network import Trainee, losses_and_slope
 
@@ -163,9 +164,11 @@ def teach(
     asked = rng.uniform(low, high, (TAUGHT, len(low)))
     share = rng.uniform(size=(TAUGHT, len(start.muscles))) ** 2
     tension = SLACK_N + share * (strong - SLACK_N)
-    lesson = _scaled(start, asked, tension, teacher(asked, tension))
+    answers = teacher(asked, tension)
+    lesson = _scaled(start, asked, tension, answers)
     weights = _train(start, lesson, None, recipe, seed, progress)
-    taught = _with_residuals(replace(start, weights=weights), theta, f, length)
+    taught = polished(replace(start, weights=weights), asked, tension, answers)
+    taught = _with_residuals(taught, theta, f, length)
     return replace(taught, tension_range_n=np.tile((SLACK_N, strong), (len(start.muscles), 1)))
 
 

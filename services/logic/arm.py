@@ -199,6 +199,7 @@ class Arm:
             floor_n,
             ceiling_n,
             None if self.plan is None else self.plan.tension_n,
+            self.settings.control.sharing,
         )
 
     def _feel_errors(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:

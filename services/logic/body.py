@@ -6,9 +6,10 @@ that can fail ends in holding.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Protocol
 
+import msgspec
 import numpy as np
 
 from runtime import messages as m
@@ -49,6 +50,8 @@ class Body:
         self._notebook = notebook
         self._seed = seed
         self._tell = tell
+        for muscle, path in notebook.memory.paths.items():
+            arm.guests.told(muscle, path)
         self._lost_s: dict[str, float] = {}
         self._torn_s: dict[str, float] = {}
 
@@ -58,6 +61,16 @@ class Body:
             self._take_schema(message)
         if self.growth is not None:
             self.growth.receive(message)
+
+    def plugged(self, data: Mapping[str, str]) -> None:
+        """Somebody fixed a module and says how its wire nominally runs."""
+        try:
+            path = msgspec.json.decode(data["path"], type=m.MusclePath)
+        except (KeyError, msgspec.DecodeError):
+            return  # a real robot's hands say it in the robot file
+        self._notebook.memory.paths[data.get("muscle", "")] = path
+        self._arm.guests.told(data.get("muscle", ""), path)
+        self._notebook.save()
 
     def tick(self, now_ns: int, dt_s: float) -> Iterator[Message]:
         """Let the growth that is under way go on."""

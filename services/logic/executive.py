@@ -39,6 +39,7 @@ class Executive:
         m.SchemaCandidate,
         m.TrainingProgress,
         m.HandState,
+        m.Event,
     )
     requests: tuple[type[Message], ...] = (m.Task, m.Reach, m.Relearn)
     period_ns = 10_000_000
@@ -70,6 +71,9 @@ class Executive:
             self.body.receive(message)
         elif isinstance(message, m.HandState):
             self.hands.receive(message)
+        elif isinstance(message, m.Event):
+            if message.kind == "plugged":
+                self.body.plugged(message.data)
         else:
             self.arm.receive(message)
 

@@ -211,6 +211,7 @@ class Growth:
             method=record.method,
             seed=record.seed,
             motions=tuple(record.motions[: record.n_new]),
+            paths=self._arm.guests.paths(record.muscles),
         )
 
     def _check(self, now_ns: int, candidate: SchemaCandidate) -> Iterator[Message]:

@@ -49,9 +49,9 @@ class Guests:
         self._paths[muscle] = path
         self._wirings.pop(muscle, None)
 
-    def path(self, muscle: str) -> MusclePath | None:
-        """How a muscle's wire nominally runs, if anybody said."""
-        return self._paths.get(muscle)
+    def paths(self, muscles: tuple[str, ...]) -> dict[str, MusclePath]:
+        """How these muscles' wires nominally run, as far as anybody said."""
+        return {name: self._paths[name] for name in muscles if name in self._paths}
 
     def take_in(self, muscles: tuple[str, ...]) -> None:
         """These are known to the schema from now on."""

@@ -66,7 +66,7 @@ def take_over(module: Module, chain: Chain, stiffness_n_m: float) -> Conversatio
     if (yield from write_limits(module)):
         torque = 0
     present = yield from read_block(module.id, PRESENT_BLOCK)
-    module.take(present)
+    module.take(present.values())
     reference = module.reference
     reference.bias_n = min(goals["bias_tension"], reference.ceiling_n)
     reference.stiffness_n_m = goals["stiffness"]
@@ -101,7 +101,7 @@ def prepare_slack(module: Module, chain: Chain) -> Conversation[None]:
             f"its load cell reads {tare:.1f} N with a slack wire: check the load cell"
         )
     yield from write(module.id, "tension_tare", tare)
-    module.take((yield from read_block(module.id, PRESENT_BLOCK)))
+    module.take((yield from read_block(module.id, PRESENT_BLOCK)).values())
     module.reference.slacken(module.reading)
     yield from write_block(module.id, GOAL_BLOCK, module.reference.values())
     yield from write(module.id, "torque_enable", 1)

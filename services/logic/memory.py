@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import msgspec
 
 from runtime.logic import Store
+from runtime.messages import MusclePath
 from services.logic.growth import GrowthRecord
 
 BLOB = "memory"
@@ -20,6 +21,7 @@ class Memory(msgspec.Struct):
     goal_rad: tuple[float, ...] = ()  # posture that is held or aimed at
     holding: str = ""  # payload in the hand
     growth: GrowthRecord | None = None
+    paths: dict[str, MusclePath] = {}  # how plugged muscles nominally run, as their hands said
     known: dict[str, int] = {}  # muscle -> serial number of modules that a schema has learned
     refused: list[str] = []  # muscles whose growth failed; tried again when plugged anew
 
@@ -56,4 +58,5 @@ def _fitting(memory: Memory, steps: Mapping[str, int], joints: int) -> Memory:
     task_fits = not memory.task or memory.step < steps.get(memory.task, 0)
     if task_fits and len(memory.goal_rad) in (0, joints):
         return memory
-    return Memory(known=memory.known, holding=memory.holding)  # the robot file was changed
+    # the robot file was changed
+    return Memory(known=memory.known, holding=memory.holding, paths=memory.paths)

@@ -8,7 +8,7 @@ refit   the last schema of a muscle that came back, its length offset estimated 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from runtime.messages import Motion, MusclePath, TrainingJob
@@ -40,7 +40,9 @@ def grown(base: Schema, job: TrainingJob, settings: RobotSettings, epoch_done: E
     motions = [reordered(motion, job.muscles, muscles) for motion in job.motions]
     newcomer = added[0] if added else ""
     if job.method == BY_WIRES:
-        return by_wires(base, motions, newcomer, settings, seed=job.seed, progress=epoch_done)
+        return by_wires(
+            base, motions, newcomer, settings, job.paths, seed=job.seed, progress=epoch_done
+        )
     return train.relearn(base, motions, newcomer, job.method, seed=job.seed, progress=epoch_done)
 
 
@@ -49,13 +51,15 @@ def by_wires(
     motions: Sequence[Motion],
     added: str,
     settings: RobotSettings,
+    paths: Mapping[str, MusclePath] | None = None,
     *,
     seed: int = 0,
     progress: EpochDone | None = None,
 ) -> Schema:
     """Method iv: wires fitted to the motions, and the network that they taught, in one schema.
 
-    The motions' columns are (*base.muscles, added).
+    The motions' columns are (*base.muscles, added); `paths` are nominal ones of muscles that the
+    robot file does not draw.
 
     Raises:
         TrainingError: the motions do not do, or nobody knows how a muscle's wire nominally runs.
@@ -63,7 +67,9 @@ def by_wires(
     from services.body_schema import train
 
     muscles = (*base.muscles, *([added] if added else []))
-    model = fitted(base, motions, muscles, settings, seed)
+    told = {name: path for name, path in (paths or {}).items() if name not in base.muscles}
+    known = known_paths(base, settings) | told
+    model = fitted(base, motions, muscles, settings, known, seed)
     taught = train.teach(base, motions, added, model.lengths, seed=seed, progress=progress)
     return taught.with_wires(model.wires)
 
@@ -73,6 +79,7 @@ def fitted(
     motions: Sequence[Motion],
     muscles: tuple[str, ...],
     settings: RobotSettings,
+    paths: Mapping[str, MusclePath],
     seed: int = 0,
 ) -> WireModel:
     """Wires of `muscles`, the motions' columns, about where they nominally run.
@@ -80,12 +87,12 @@ def fitted(
     Raises:
         TrainingError: see `by_wires`.
     """
-    paths = known_paths(base, settings)
     for muscle in muscles:
         if muscle not in paths:
             raise TrainingError(
                 f"nobody knows how the wire of {muscle} nominally runs; "
-                "give it a [[spare]] with a path in the robot file, or relearn by method iii"
+                "plug it in with --path, or draw it as a [[spare]] of the robot file, "
+                "or set the method of [growth] to iii"
             )
     geometry = Wiring(settings.body_file, settings.joints, {n: paths[n] for n in muscles})
     theta = stacked([motion.angle_rad for motion in motions], len(base.joints))

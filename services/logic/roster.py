@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import msgspec
@@ -46,12 +46,10 @@ class Module:
         """Whether it answers."""
         return self.state != "lost" and not (self.state == "fault" and not self.polled)
 
-    def take(self, present: Mapping[str, float]) -> None:
-        """Take in a muscle's block of present values."""
-        self.reading = present["present_length"]
-        self.tension_n = present["present_tension"]
-        self.temperature_degc = present["motor_temperature"]
-        self.status = int(present["status"])
+    def take(self, presents: Iterable[float]) -> None:
+        """Take in a muscle's block of present values, in the registers' order."""
+        self.reading, self.tension_n, self.temperature_degc, status = presents
+        self.status = int(status)
 
     def hold(self) -> None:
         """Begin anew from what the muscle does; slack that is being wound in goes on being so."""

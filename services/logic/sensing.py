@@ -147,5 +147,5 @@ def _read(module: Module, status: StatusPacket) -> bool:
         return True
     if len(params) < PRESENT_BLOCK.length:
         return False
-    module.take(PRESENT_BLOCK.decode(params))
+    module.take(PRESENT_BLOCK.unpack(params))
     return True

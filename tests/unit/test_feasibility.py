@@ -1,5 +1,8 @@
 """The static questions to a body: what is checked by hand here is a lever with two wires."""
 
+from __future__ import annotations
+
+import argparse
 import json
 import math
 from pathlib import Path
@@ -8,7 +11,7 @@ import numpy as np
 import pytest
 
 from experiments.body import Body
-from experiments.feasibility import Feasibility, assess, least_peak, postures
+from experiments.feasibility import Feasibility, assess, least_norm, least_peak, postures
 from hardware_sim.geometry import Geometry, Load
 from runtime.cli.main import UsageError, _run
 from runtime.messages import MusclePath, Place
@@ -34,7 +37,9 @@ LEVER = """<mujoco>
 EXTENSOR = '<spatial name="extensor"><site site="back"/><site site="back_end"/></spatial>'
 
 
-def lever(folder: Path, mass: float = 1.0, more: str = EXTENSOR, low: int = -5, high: int = 5):
+def lever(
+    folder: Path, mass: float = 1.0, more: str = EXTENSOR, low: int = -5, high: int = 5
+) -> Path:
     file = folder / "lever.xml"
     file.write_text(LEVER.format(mass=mass, more=more, low=low, high=high))
     return file
@@ -44,7 +49,7 @@ def body(*words: str) -> int:
     return _run("body", Body(), list(words))
 
 
-def test_moment_arms_and_gravity_are_those_of_the_drawing(tmp_path):
+def test_moment_arms_and_gravity_are_those_of_the_drawing(tmp_path: Path) -> None:
     geometry = Geometry(lever(tmp_path))
     length, jacobian, torque = geometry.at(np.zeros(1))
     assert length == pytest.approx([0.1, 0.1])
@@ -56,7 +61,7 @@ def test_moment_arms_and_gravity_are_those_of_the_drawing(tmp_path):
     assert geometry.wire_sites == (("front", "front_end"), ("back", "back_end"))
 
 
-def test_a_load_and_an_attached_wire_are_felt(tmp_path):
+def test_a_load_and_an_attached_wire_are_felt(tmp_path: Path) -> None:
     file = lever(tmp_path)
     path = MusclePath(
         attachment=Place(link="world", position_m=(0.1, 0, 0)),
@@ -72,7 +77,7 @@ def test_a_load_and_an_attached_wire_are_felt(tmp_path):
         Geometry(file, (), (), Load(2.0, "rood", (0.1, 0.0, 0.0)))
 
 
-def test_the_least_peak_is_the_one_found_by_hand():
+def test_the_least_peak_is_the_one_found_by_hand() -> None:
     jacobian = np.array([[-0.05], [0.04]])
     # 0.05 f0 - 0.04 f1 = 3 with f1 at its floor
     assert least_peak(jacobian, np.array([3.0]), 10.0) == pytest.approx([68.0, 10.0], abs=0.02)
@@ -83,12 +88,18 @@ def test_the_least_peak_is_the_one_found_by_hand():
     assert pair == pytest.approx([40.0, 40.0], abs=0.02)
 
 
-def test_a_torque_to_the_side_without_wires_is_not_held():
+def test_the_least_norm_shares_by_moment_arms() -> None:
+    pair = least_norm(np.array([[-0.06], [-0.03]]), np.array([4.5]), 10.0, 200.0)
+    assert pair == pytest.approx([60.0, 30.0])
+    assert least_norm(np.array([[-0.06], [-0.03]]), np.array([4.5]), 10.0, 40.0) is None
+
+
+def test_a_torque_to_the_side_without_wires_is_not_held() -> None:
     assert least_peak(np.array([[-0.05]]), np.array([-1.0]), 10.0) is None
     assert least_peak(np.array([[-0.05], [0.0]]), np.zeros(1), 10.0) is None
 
 
-def test_the_program_is_solved_to_its_optimum_on_many_joints():
+def test_the_program_is_solved_to_its_optimum_on_many_joints() -> None:
     """Against the definition: no better tensions are found by thousands of random feasible ones."""
     rng = np.random.default_rng(5)
     jacobian = rng.normal(0.0, 0.04, (8, 3))
@@ -104,7 +115,7 @@ def test_the_program_is_solved_to_its_optimum_on_many_joints():
     assert allowed.max(axis=1).min() >= found.max() - 0.05
 
 
-def test_shares_and_percentiles():
+def test_shares_and_percentiles() -> None:
     held = Feasibility(np.zeros((4, 1)), np.array([10.0, 30.0, 20.0, np.inf]), 25.0)
     assert held.share == 0.5
     assert held.worst == 3
@@ -112,7 +123,7 @@ def test_shares_and_percentiles():
     assert held.percentile_n(95) == np.inf
 
 
-def test_postures_are_the_same_for_a_seed_and_keep_the_range():
+def test_postures_are_the_same_for_a_seed_and_keep_the_range() -> None:
     limits = np.array([[-1.0, 1.0], [0.0, 0.1]])
     drawn = postures(limits, 200, 3)
     assert np.array_equal(drawn, postures(limits, 200, 3))
@@ -121,7 +132,7 @@ def test_postures_are_the_same_for_a_seed_and_keep_the_range():
 
 
 @pytest.mark.parametrize("robot", ["elbow", "musashi_arm", "musashi_w"])
-def test_shipped_bodies_can_be_held_with_a_fifth_to_spare(robot):
+def test_shipped_bodies_can_be_held_with_a_fifth_to_spare(robot: str) -> None:
     settings = load_robot(robot)
     geometry = Geometry(settings.body_file, settings.joints)
     control = settings.control
@@ -135,7 +146,9 @@ def test_shipped_bodies_can_be_held_with_a_fifth_to_spare(robot):
     assert held.share == 1.0
 
 
-def test_the_command_names_what_it_found(tmp_path, capsys):
+def test_the_command_names_what_it_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     figures = tmp_path / "elbow.json"
     assert body("elbow", "--postures", "50", "--json", str(figures)) == 0
     said = capsys.readouterr().out
@@ -146,7 +159,9 @@ def test_the_command_names_what_it_found(tmp_path, capsys):
     assert 0.02 < low < high < 0.06  # a flexor turns the elbow up
 
 
-def test_a_body_that_cannot_be_held_gives_exit_code_1_and_says_where(tmp_path, capsys):
+def test_a_body_that_cannot_be_held_gives_exit_code_1_and_says_where(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = lever(tmp_path, more="", low=-20, high=20)
     figures = tmp_path / "lever.json"
     assert body(str(file), "--postures", "40", "--json", str(figures)) == 1
@@ -157,6 +172,19 @@ def test_a_body_that_cannot_be_held_gives_exit_code_1_and_says_where(tmp_path, c
     assert all(row["angle_deg"]["swing"] < 12.0 for row in case["not_held"])  # gravity's own side
 
 
+def test_a_foreign_body_may_leave_names_and_limits_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = lever(tmp_path).read_text()
+    text = text.replace(' name="swing"', "").replace(' name="flexor"', "")
+    text = text.replace(' range="-5 5"', "")
+    file = tmp_path / "foreign.xml"
+    file.write_text(text)
+    assert body(str(file), "--postures", "20") == 1  # nobody holds a rod that points up
+    said = capsys.readouterr().out
+    assert "joint 0" in said and "-180 .. 180" in said and "wire 0" in said
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -164,7 +192,7 @@ def test_a_body_that_cannot_be_held_gives_exit_code_1_and_says_where(tmp_path, c
         ("<mujoco", "XML"),
     ],
 )
-def test_what_is_no_body_is_refused_in_one_line(tmp_path, text, words):
+def test_what_is_no_body_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
     file = tmp_path / "odd.xml"
     file.write_text(text)
     with pytest.raises(UsageError, match=words) as refusal:
@@ -172,9 +200,7 @@ def test_what_is_no_body_is_refused_in_one_line(tmp_path, text, words):
     assert "\n" not in str(refusal.value)
 
 
-def _arguments(file: str):
-    import argparse
-
+def _arguments(file: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     Body().configure(parser)
     return parser.parse_args([file])

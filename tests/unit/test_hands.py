@@ -16,6 +16,7 @@ from runtime.messages import HandCommand, HandState, MusclePath, Place
 from runtime.settings import Payload, RobotSettings, TaskPath, load_robot
 from services.logic.hands import TAKE_OVER_S, Hands
 from services.logic.skeleton import Skeleton
+from tests.unit.test_world import Live, launch
 
 ELBOW = load_robot("elbow")
 BALL = Payload(name="ball", mass_kg=0.5, link="forearm", position_m=(0.0, 0.0, -0.27))
@@ -94,7 +95,7 @@ def test_a_hand_that_closes_on_nothing_ends_the_task(tmp_path: Path) -> None:
 def test_what_is_held_is_held_through_growth_and_a_restart_of_the_world(tmp_path: Path) -> None:
     settings = robot(tmp_path)
     held = SimulatedRobot(settings)
-    held.plant.data.qpos[held.plant._coordinates._qpos] = np.radians(60.0)
+    held.plant._coordinates.place(held.plant.data.qpos, np.radians([60.0]))
     held.step()
     told = HandCommand(hand="forearm", holds="ball")
     assert held.hand(told).holds == "ball"
@@ -124,6 +125,26 @@ def test_a_body_without_a_weld_cannot_hold(tmp_path: Path) -> None:
         simulated.hand(HandCommand(hand="forearm", holds="ball"))
     with pytest.raises(PlugError, match="no payload 'bell'"):
         simulated.hand(HandCommand(hand="forearm", holds="bell"))
+
+
+def test_the_world_is_the_hand_and_remembers_what_it_holds(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings = robot(tmp_path)
+    live = Live(launch(settings))
+    plant = live.world.robot.plant
+    plant._coordinates.place(plant.data.qpos, np.radians([60.0]))
+    live.run(0.01)
+    live.world.receive(HandCommand(hand="forearm", holds="ball"))
+    live.world.receive(HandCommand(hand="forearm", holds="bell"))
+    live.look()
+    assert [(state.asked, state.holds) for state in live.told(HandState)] == [("ball", "ball")]
+    assert "no payload 'bell'" in caplog.text
+    live.world.receive(HandCommand(hand="forearm", holds="ball"))
+    live.world.close()
+    back = Live(launch(settings, memory=live.memory))
+    assert list(back.world.robot.plant.grasp.held) == ["ball"]
+    back.world.close()
 
 
 # ── the logic alone ───────────────────────────────────────────────────────────────────────────

@@ -106,7 +106,8 @@ def test_a_spare_is_plugged_at_the_tail_and_answers_as_fresh(robot: SimulatedRob
     event = robot.plug(m.Plug(muscle="spare"))
     serial = serial_number("two", "spare")
     assert (event.kind, event.process) == ("plugged", "world")
-    assert event.data == {"muscle": "spare", "chain": "far", "serial": str(serial)}
+    path = msgspec.json.encode(robot.settings.spare[0].path).decode()
+    assert event.data == {"muscle": "spare", "chain": "far", "serial": str(serial), "path": path}
     assert robot.chains["far"].modules[-1].serial == serial
     assert ids(robot, "far") == [1, 2, 101]
     assert robot.plant.wires[-1] == "spare"

@@ -86,6 +86,9 @@ def test_winding_warms_with_the_square_of_tension() -> None:
     assert drive.temperature_degc[0] - 25.0 == pytest.approx(
         HEATING_DEGC_N2 * 3600.0 * DT_S / THERMAL_TIME_S
     )
+    stronger = WireDrive(1, 0.25, 25.0, heating_degc_n2=HEATING_DEGC_N2 / 4)
+    run(stronger, 0.0, 120.0, 1)
+    assert stronger.temperature_degc == pytest.approx(drive.temperature_degc)
     drive.temperature_degc[:] = 25.0 + 27.0  # where it rests at 60 N
     run(drive, 0.0, 60.0, 100)
     assert drive.temperature_degc[0] == pytest.approx(52.0)

@@ -1,0 +1,96 @@
+"""The paper's second experiment: five joints, ten muscles, an eleventh beside the elbow's flexors.
+
+Ten random targets. h_old is the arm's own, or that of an imperfect geometric model, as the paper's
+authors start: sites 20 mm off, no friction (variant `model`).
+"""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+
+import numpy as np
+
+from experiments import options
+from experiments.comparison import Comparison
+from experiments.methods import METHODS
+from experiments.options import Choices
+from experiments.report import carry_out
+from experiments.rig import Rig
+from experiments.score import SweepScorer
+from experiments.sequence import run_scored
+from experiments.session import RigSession
+from experiments.statistics import Run
+from experiments.sweep import Unit
+from experiments.tables import Measure
+from experiments.variants import ARM_VARIANTS
+
+TASK = "reach"
+COMPARED = ("(i)", "(ii)", "(iii)")  # over whose sum R_f is taken
+THIRD, FOURTH = "brachialis", "brachialis_2"  # the paper's #3 and #4
+CHOICES = Choices(
+    experiment="arm",
+    n_new=(5, 10, 15, 20, 30),
+    methods=METHODS,
+    variants={name: variant.text for name, variant in ARM_VARIANTS.items()},
+    quick_n_new=(5,),
+    quick_seeds=1,
+)
+MEASURES = (
+    Measure(
+        "e_theta_rad",
+        "E_theta",
+        "rad",
+        3,
+        paper={("before", 0): 0.526, ("(iii)", 30): 0.329},
+        claims=dict.fromkeys(CHOICES.n_new, "(iii) < (ii) < (i)"),
+    ),
+    Measure("e_f", "E_f", "", 3),
+    Measure("r_f", "R_f", "", 3, claims=dict.fromkeys(CHOICES.n_new, "(i) < (iii) < (ii)")),
+    Measure("f4_max_n", "f4max", "N", 1, claims=dict.fromkeys((5, 10, 15), "(iii) = (ii) < (i)")),
+    Measure("collect_peak_n", "greatest tension while collecting", "N", 0),
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Options of `arm`."""
+    options.configure(parser, CHOICES)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sweep; tell, draw and keep what it found."""
+    chosen = options.read(args, CHOICES)
+    work = partial(one_unit, methods=chosen.methods, quick=chosen.quick)
+    title = "five joints, an eleventh muscle is added"
+    return carry_out(CHOICES, chosen, work, ARM.fingerprint(), MEASURES, title=title)
+
+
+def one_unit(unit: Unit, methods: tuple[str, ...], quick: bool) -> list[Run]:
+    """Everything of one robot, one variant and one number of motions."""
+    runs = ARM.unit(unit, methods, quick)
+    for control in {run["control"] for run in runs}:
+        own = [r for r in runs if r["control"] == control and r["method"] in COMPARED]
+        if len(own) == 3 and all("e_f" in r["figures"] for r in own):
+            total = sum(r["figures"]["e_f"] for r in own)
+            for r in own:
+                r["figures"]["r_f"] = r["figures"]["e_f"] / total
+    return runs
+
+
+def score(rig: Rig) -> dict[str, float]:
+    """The reaching's figures: error of the joints, and how alike #3 and #4 pull."""
+    scorer = SweepScorer(rig.settings, TASK)
+    run_scored(RigSession(rig), scorer, TASK)
+    targets = scorer.targets()
+    figures = {
+        "e_theta_rad": float(np.mean([target.error_rad for target in targets])),
+        "peak_tension_n": scorer.score.peak_tension_n,
+    }
+    if FOURTH in rig.executive.arm.felt():
+        f3, f4 = (np.array([t.tension_n[name] for t in targets]) for name in (THIRD, FOURTH))
+        figures["e_f"] = float(np.mean(np.abs(f3 - f4) / (f3 + f4)))
+        figures["f4_max_n"] = float(f4.max())
+    return figures
+
+
+ARM = Comparison("musashi_arm", ARM_VARIANTS, score)

@@ -1,0 +1,160 @@
+"""One robot, one variant, one number of motions: every method learns, and is tried on a task.
+
+What `elbow`, `arm` and `lift` have in common; each brings its robot, its score and its methods.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from time import perf_counter
+
+import msgspec
+
+from experiments.methods import PAPERS_OWN, relearned, settled, wired
+from experiments.oracle import Oracle
+from experiments.paper_control import Descent, PaperArm
+from experiments.rig import Rig
+from experiments.session import SessionError
+from experiments.statistics import Run
+from experiments.sweep import Unit
+from experiments.trial import Collected, collect, start
+from experiments.variants import Variant
+from runtime.settings import RobotSettings, load_robot
+from services.body_schema.model import BodyModel
+from services.body_schema.schema import Schema
+from services.logic.arm import Arm
+
+PAPERS, CONVERGED = "paper", "converged"
+Score = Callable[[Rig], dict[str, float]]  # runs the task; raises SessionError if it does not end
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is compared.
+
+    Attributes:
+        robot: its name.
+        variants: by name.
+        score: runs the task on a rig that holds, and gives its figures.
+        papers_control: whether the paper's control is tried too.
+        shared: whether each model shares by least norm and by least peak, not by norm alone.
+    """
+
+    robot: str
+    variants: Mapping[str, Variant]
+    score: Score
+    papers_control: bool = True
+    shared: bool = False  # whether every model is tried with both kinds of sharing
+
+    def fingerprint(self) -> dict[str, object]:
+        """What decides about the results."""
+        from services.body_schema import train
+
+        settings = load_robot(self.robot)
+        return {
+            "robot": msgspec.to_builtins(msgspec.structs.replace(settings, file="")),
+            "body_crc": zlib.crc32(settings.body_file.read_bytes()),
+            "schema_crc": zlib.crc32(_shipped(settings)),
+            "recipe": asdict(train.NEW),
+            "descent": asdict(Descent()),
+        }
+
+    def unit(self, unit: Unit, methods: tuple[str, ...], quick: bool) -> list[Run]:
+        """All runs of one unit; N_new 0 are the baselines."""
+        variant = self.variants[unit.variant]
+        settings = variant.settings(load_robot(self.robot))
+        old = variant.old(settings)
+        network = replace(old, wires=None)
+        trials = _Trials(self, unit, settings, variant, network)
+        collected = collect(settings, unit.seed, network, unit.n_new or 1, variant.arm(Arm))
+        trials.peak_n = collected.peak_tension_n
+        controls = (PAPERS, CONVERGED) if self.papers_control else (CONVERGED,)
+        converged = ("norm", "peak") if self.shared else (CONVERGED,)
+        if self.shared:
+            controls = converged
+        if unit.n_new == 0:
+            for control in controls:
+                trials.run("before", control, network, None)
+            for control in converged:
+                trials.run("oracle", control, None, collected)
+            return trials.runs
+        for method in methods:
+            if method not in PAPERS_OWN:
+                continue
+            schemas: dict[bool, Schema] = {}
+            for control in controls:
+                papers = control == PAPERS
+                if papers not in schemas:
+                    motions = settled(collected.new) if papers else collected.new
+                    begin_s = perf_counter()
+                    schemas[papers] = relearned(
+                        method, network, motions, settings, unit.seed, quick
+                    )
+                    trials.learn_s = perf_counter() - begin_s
+                trials.run(method, control, schemas[papers], collected)
+        if {"(iv)", "(iv) wires"} & {*methods}:
+            begin_s = perf_counter()
+            models = wired(old, collected.new, settings, unit.seed)
+            trials.learn_s = perf_counter() - begin_s
+            for method, model in models.items():
+                for control in converged if method in methods else ():
+                    trials.run(method, control, model, collected)
+        return trials.runs
+
+
+class _Trials:
+    """Tries models on one robot, and keeps what came out."""
+
+    def __init__(
+        self,
+        comparison: Comparison,
+        unit: Unit,
+        settings: RobotSettings,
+        variant: Variant,
+        old: Schema,
+    ) -> None:
+        self.runs: list[Run] = []
+        self.learn_s = 0.0
+        self.peak_n = 0.0
+        self._score = comparison.score
+        self._unit = unit
+        self._settings = settings
+        self._variant = variant
+        self._old = old
+
+    def run(
+        self, method: str, control: str, model: BodyModel | None, robot: Collected | None
+    ) -> None:
+        """Do the task and score it. Without a model the oracle controls."""
+        arm = self._variant.arm(PaperArm if control == PAPERS else Arm)
+        figures: dict[str, float] = {"collect_peak_n": self.peak_n}
+        try:
+            settings = self._settings
+            if control in ("norm", "peak"):
+                sharing = msgspec.structs.replace(settings.control, sharing=control)
+                settings = msgspec.structs.replace(settings, control=sharing)
+            rig = start(settings, self._unit.seed, model or self._old, robot, arm)
+            if model is None:
+                rig.executive.arm.use(Oracle(rig))
+                rig.run(1.0)
+            figures |= self._score(rig)
+        except SessionError:
+            figures["failed"] = 1.0  # the robot stopped, or never came to rest
+        self.runs.append(
+            Run(
+                method=method,
+                control=control,
+                n_new=self._unit.n_new,
+                seed=self._unit.seed,
+                variant=self._unit.variant,
+                figures=figures,
+                wall_s={"learn": self.learn_s},
+            )
+        )
+
+
+def _shipped(settings: RobotSettings) -> bytes:
+    assert settings.schema_file is not None
+    return settings.schema_file.read_bytes()
