@@ -69,7 +69,7 @@ class Coordinates:
             ValueError: no such joint, one that cannot be commanded, or a part of a ball joint.
         """
         self.names = tuple(names)
-        known = {model.joint(i).name: i for i in range(model.njnt)}
+        known = {joint_name(model, i): i for i in range(model.njnt)}
         ties = dict(_ties(model))
         balls: dict[int, dict[str, int]] = {}
         plain: list[tuple[int, int, int]] = []  # column, qpos, dof
@@ -185,10 +185,15 @@ def coordinates_of(model: Any, kinds: Sequence[int] = (HINGE, BALL, SLIDE)) -> t
     tied = dict(_ties(model))
     names: list[str] = []
     for joint in range(model.njnt):
-        kind, name = int(model.jnt_type[joint]), model.joint(joint).name
+        kind, name = int(model.jnt_type[joint]), joint_name(model, joint)
         if kind in kinds and kind != FREE and joint not in tied:
             names += parts(name) if kind == BALL else [name]
     return tuple(names)
+
+
+def joint_name(model: Any, joint: int) -> str:
+    """A joint's name, or what one without a name is called."""
+    return str(model.joint(joint).name or f"joint {joint}")
 
 
 def parts(name: str) -> list[str]:

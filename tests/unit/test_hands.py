@@ -95,7 +95,7 @@ def test_a_hand_that_closes_on_nothing_ends_the_task(tmp_path: Path) -> None:
 def test_what_is_held_is_held_through_growth_and_a_restart_of_the_world(tmp_path: Path) -> None:
     settings = robot(tmp_path)
     held = SimulatedRobot(settings)
-    held.plant.data.qpos[held.plant._coordinates._qpos] = np.radians(60.0)
+    held.plant._coordinates.place(held.plant.data.qpos, np.radians([60.0]))
     held.step()
     told = HandCommand(hand="forearm", holds="ball")
     assert held.hand(told).holds == "ball"
@@ -133,7 +133,7 @@ def test_the_world_is_the_hand_and_remembers_what_it_holds(
     settings = robot(tmp_path)
     live = Live(launch(settings))
     plant = live.world.robot.plant
-    plant.data.qpos[plant._qpos] = np.radians(60.0)
+    plant._coordinates.place(plant.data.qpos, np.radians([60.0]))
     live.run(0.01)
     live.world.receive(HandCommand(hand="forearm", holds="ball"))
     live.world.receive(HandCommand(hand="forearm", holds="bell"))

@@ -52,7 +52,7 @@ def test_everything_is_told_and_written(tmp_path: Path, capsys: pytest.CaptureFi
         "loss, N=3, moved: (ii) < (i): -1.05 [-1.17, -0.93] N, 3 seeds; the paper: (ii) < (i)"
         in out
     )
-    for name in ("made_up.png", "made_up.svg", "made_up-variants.png", "tables.md"):
+    for name in ("made_up-exact.png", "made_up-exact.svg", "made_up-exact-variants.png", "tables.md"):
         assert (tmp_path / name).stat().st_size > 200 and name in out
     kept = json.loads(told.read_text())
     assert len(kept["runs"]) == 3 * 2 * (1 + 2 * 2) and kept["failed"] == {}
@@ -69,7 +69,7 @@ def test_what_failed_is_told_last(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 def test_when_all_failed_there_is_nothing_to_draw(tmp_path: Path) -> None:
     assert run(tmp_path, "--seed", "4", "--seeds", "1") == 1
-    assert not (tmp_path / "made_up.png").exists()
+    assert not (tmp_path / "made_up-exact.png").exists()
 
 
 def test_other_methods_are_other_results(tmp_path: Path) -> None:
