@@ -160,7 +160,7 @@ def test_byte_stuffing(port: PortHandler, value: int) -> None:
     request = [*bytes.fromhex("fffffd00 02 0a00 03 d402 fffffdfd"), top]
     crc = SDK.updateCRC(0, request, len(request))
     port.writePort(bytes((*request, crc & 0xFF, crc >> 8)))
-    port.setPacketTimeout(11)
+    port.setPacketTimeoutMillis(2000)  # a busy machine is slower than the line
     assert SDK.readRx(port, 2, 0)[1:] == (COMM_SUCCESS, 0)
     assert SDK.read4ByteTxRx(port, 2, 724) == (value, COMM_SUCCESS, 0)
 
