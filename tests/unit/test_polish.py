@@ -54,9 +54,7 @@ def test_nothing_better_is_left_in_the_last_layer() -> None:
     *layers, (w, b) = once.weights
     rng = np.random.default_rng(0)
     for _ in range(20):
-        other = replace(
-            once, weights=(*layers, (w + 1e-3 * rng.normal(size=w.shape), b))
-        )
+        other = replace(once, weights=(*layers, (w + 1e-3 * rng.normal(size=w.shape), b)))
         for question, found in residuals(other).items():
             assert (found > least[question]).all()
 

@@ -184,7 +184,7 @@ def test_a_muscle_that_came_back_keeps_its_wire_with_another_offset() -> None:
     shifted = [
         msgspec.structs.replace(
             motion,
-            length_m=tuple(tuple(np.array(row) + [0, 0, 0, 0.03]) for row in motion.length_m),
+            length_m=tuple((*row[:3], row[3] + 0.03) for row in motion.length_m),
         )
         for motion in motions()
     ]

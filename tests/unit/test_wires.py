@@ -1,4 +1,4 @@
-"""Wires as a table, in a schema's bytes, for other muscles and for encoders that began elsewhere."""
+"""Wires as a table, in a schema's bytes, of some muscles, for encoders that began elsewhere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wires on the known skeleton: their slopes are those of their lengths, sites go where they are put."""
+"""Wires on the known skeleton: slopes are those of lengths, sites go where they are put."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_slopes_by_sites_are_finite_differences(settings: RobotSettings) -> None
                 assert not np.delete(change, k).any()  # a site belongs to one wire
 
 
-def test_wires_that_share_a_site_on_the_drawing_have_one_each(tmp_path: object) -> None:
+def test_wires_that_share_a_site_on_the_drawing_have_one_each() -> None:
     settings = ROBOTS[0]
     wiring = wired(settings)
     assert wiring.muscles == (*settings.muscles, settings.spare[0].name)
