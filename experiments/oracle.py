@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from experiments.rig import Rig
 from hardware_sim.wire_drive import elastic_stretch_m
-from services.logic.wiring import Wiring
 
 Array = NDArray[np.float64]
 
@@ -25,7 +24,7 @@ class Oracle:
         plant, settings = rig.robot.plant, rig.settings
         self.joints = settings.joints
         self.muscles = tuple(plant.wires)
-        self._geometry = Wiring(settings.body_file, settings.joints, plant.true_paths())
+        self._plant = plant
         self._stretch_m = [
             np.array([elastic_stretch_m(f, curve) for f in TABLE_N.tolist()])
             for curve in plant.elastic_n_m
@@ -44,6 +43,6 @@ class Oracle:
 
     def lengths_and_jacobian(self, theta: Array, f: Array) -> tuple[Array, Array]:
         """As `BodyModel.lengths_and_jacobian`."""
-        path, jacobian = self._geometry.lengths_and_jacobian(theta)
+        path, jacobian = self._plant.wires_at(theta)
         stretch = [np.interp(x, TABLE_N, e) for x, e in zip(f, self._stretch_m, strict=True)]
         return path + self._offset_m - np.array(stretch), jacobian

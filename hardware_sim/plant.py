@@ -98,9 +98,18 @@ class Plant:
         """Geometric length of each wire's path at the last `step`, shape (M,)."""
         return self._path_length
 
-    def true_paths(self) -> dict[str, MusclePath]:
-        """Where the wires really run, by name."""
-        return {name: path_of_tendon(self._spec.tendon(name)) for name in self.wires}
+    def wires_at(self, angle_rad: Array) -> tuple[Array, Array]:
+        """Lengths of the true paths (M,) [m] and dl/dtheta (M, N), were the joints at a posture."""
+        model, data = self.model, self._elsewhere
+        self._coordinates.place(data.qpos, angle_rad)
+        mj.mj_kinematics(model, data)
+        mj.mj_comPos(model, data)
+        mj.mj_tendon(model, data)
+        dense = np.zeros((len(self.wires), model.nv))
+        mj.mju_sparse2dense(
+            dense, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind
+        )
+        return data.ten_length.copy(), self._coordinates.pulled(dense, data.qpos)
 
     @property
     def elastic_n_m(self) -> list[tuple[float, float, float]]:
@@ -166,7 +175,7 @@ class Plant:
                 continue
             site = f"{name}/{k}"
             if soft and place is places[-1]:
-                tendon.wrap_geom(self._soft_part(name, place), "")
+                tendon.wrap_geom(self._soft_ball(name, places[k - 1], place), "")
             position = np.asarray(place.position_m) + self._assembly_error(rng)
             self._spec.body(place.link).add_site(name=site, pos=position)
             tendon.wrap_site(site)
@@ -276,26 +285,40 @@ class Plant:
             for name in self.joints:
                 joint, rng = spec.joint(name), self._rng(f"{self.seed}/{name}/joint")
                 joint.pos = joint.pos + simulation.joint_error_m * _direction(rng)
-                axis = joint.axis + simulation.joint_error_rad * _direction(rng)
-                joint.axis = axis / np.linalg.norm(axis)
+                joint.axis = _turned(joint.axis, simulation.joint_error_rad, rng)
 
     def _soft_part(self, name: str, place: Place) -> str:
-        """A part that the skeleton does not have, in the way of a wire: the name of its geom.
+        """Padding on what a wire is laid around, unknown to the skeleton: the name of its geom."""
+        part = f"{name}/soft"
+        bone = self._spec.geom(place.wrap)
+        soft = bone.parent.add_geom(name=part, type=bone.type, pos=bone.pos, quat=bone.quat)
+        soft.fromto = bone.fromto
+        soft.size = bone.size + np.array([self.simulation.soft_part_m, 0.0, 0.0])
+        soft.contype, soft.conaffinity, soft.mass = 0, 0, 1e-6
+        return part
 
-        Where the wire is laid around a geom, padding on that; else a ball halfway to its end.
+    def _soft_ball(self, name: str, before: Place, end: Place) -> str:
+        """A ball in the way of a wire's last span, unknown to the skeleton: the name of its geom.
+
+        It sits on the link where that span begins, two radii along it in the body's zero posture
+        and half a radius aside: there a wire swings least when the joints move, and stays on it.
         """
         part, radius = f"{name}/soft", self.simulation.soft_part_m
-        if place.wrap:
-            bone = self._spec.geom(place.wrap)
-            link = bone.parent
-            soft = link.add_geom(name=part, type=bone.type, pos=bone.pos, quat=bone.quat)
-            soft.fromto = bone.fromto
-            soft.size = bone.size + np.array([radius, 0.0, 0.0])
-        else:
-            at = 0.5 * np.asarray(place.position_m)
-            ball = mj.mjtGeom.mjGEOM_SPHERE
-            link = self._spec.body(place.link)
-            soft = link.add_geom(name=part, type=ball, size=[radius, 0.0, 0.0], pos=at)
+        data = mj.MjData(self.model)
+        mj.mj_kinematics(self.model, data)
+        links = [data.body(place.link) for place in (before, end)]
+        turn = links[0].xmat.reshape(3, 3)
+        start_m = np.asarray(before.position_m)
+        end_m = links[1].xpos + links[1].xmat.reshape(3, 3) @ np.asarray(end.position_m)
+        span_m = turn.T @ (end_m - links[0].xpos) - start_m
+        along = span_m / np.linalg.norm(span_m)
+        aside = _across(along, self._rng(part))
+        soft = self._spec.body(before.link).add_geom(
+            name=part,
+            type=mj.mjtGeom.mjGEOM_SPHERE,
+            size=[radius, 0.0, 0.0],
+            pos=start_m + radius * (2.0 * along + 0.5 * aside),
+        )
         soft.contype, soft.conaffinity, soft.mass = 0, 0, 1e-6
         return part
 
@@ -319,6 +342,7 @@ class Plant:
 
     def _bind(self) -> None:
         self._coordinates = Coordinates(self.model, self.joints)
+        self._elsewhere = mj.MjData(self.model)  # postures that are only asked about
         # Views, as finding them takes longer than using them. Rest length is the second of each
         # tendon's two plastic states.
         self._rest_length = self.data.plastic.reshape(-1)[1::2]
@@ -363,3 +387,15 @@ def _direction(rng: np.random.Generator) -> Array:
     """A random one, of length 1."""
     vector = rng.normal(size=3)
     return np.asarray(vector / np.linalg.norm(vector))
+
+
+def _across(axis: Array, rng: np.random.Generator) -> Array:
+    """A random direction at right angles to an axis of length 1."""
+    vector = np.cross(axis, _direction(rng))
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def _turned(axis: Array, angle_rad: float, rng: np.random.Generator) -> Array:
+    """An axis turned by an angle, whichever way, of length 1."""
+    axis = np.asarray(axis / np.linalg.norm(axis))
+    return np.asarray(np.cos(angle_rad) * axis + np.sin(angle_rad) * _across(axis, rng))

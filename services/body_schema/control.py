@@ -21,6 +21,7 @@ from services.body_schema.network import Array
 
 TORQUE_WEIGHT = 1e8  # per (Nm)^2 against 1 per N^2: with 30 mm of moment arm, 1e-5 is given away
 PEAK_WEIGHT = 1e3  # of the greatest tension squared, against 1 of each
+PEAK_FIRMNESS = 100.0  # torque weighs that much more there: no peak is bought down with it
 PEAK_MARGIN = 1.01  # that much above the least peak the norm decides
 CONVERGED_N = 0.01
 ROUNDS = 50
@@ -93,11 +94,11 @@ def _smallest_tensions(g: Array, torque_nm: Array, low: Array, high: Array, shar
     m = len(low)
     weighted = TORQUE_WEIGHT * g  # (M, N)
     h = weighted @ g.T
-    h.flat[:: m + 1] += 1.0
     linear = weighted @ torque_nm
     if sharing == "peak":
-        peak = _least_peak(h, linear, low, high)
+        peak = _least_peak(PEAK_FIRMNESS * h, PEAK_FIRMNESS * linear, low, high)
         high = np.maximum(low, np.minimum(high, PEAK_MARGIN * peak))
+    h.flat[:: m + 1] += 1.0
     return _solved(h, linear, np.empty((0, m)), high, low)
 
 
@@ -106,6 +107,7 @@ def _least_peak(h: Array, linear: Array, low: Array, high: Array) -> float:
     m = len(low)
     with_peak = np.zeros((m + 1, m + 1))
     with_peak[:m, :m] = h
+    with_peak.flat[:: m + 2] = np.diag(with_peak) + 1.0
     with_peak[m, m] = PEAK_WEIGHT
     rows = np.hstack((np.eye(m), -np.ones((m, 1))))
     most = high.max()

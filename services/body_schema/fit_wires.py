@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.body_schema.motions import SLACK_N, TrainingError
+from services.body_schema.motions import SLACK_N, TrainingError, check_samples
 from services.body_schema.network import Array
 from services.body_schema.schema import Schema
 from services.body_schema.wires import STRETCH_TERMS, Geometry, Wires, stretch_terms
@@ -68,8 +68,9 @@ def fit_wires(
     The columns are those of `geometry.muscles`. `old`, if given, knows some of the muscles.
 
     Raises:
-        TrainingError: nothing to learn from.
+        TrainingError: nothing to learn from, or see `check_samples`.
     """
+    check_samples(theta, f, length)
     if not len(theta):
         raise TrainingError("no motion to learn the wires from")
     rng = np.random.default_rng(seed)

@@ -40,16 +40,25 @@ def taut(theta: Array, f: Array, length: Array) -> tuple[Array, Array, Array]:
     Raises:
         TrainingError: unequal numbers, a number that is not finite, fewer than ten samples.
     """
-    if not len(theta) == len(f) == len(length):
-        raise TrainingError("angles, tensions and lengths are not equally many")
-    if not all(np.isfinite(a).all() for a in (theta, f, length)):
-        raise TrainingError("a sample is not a number")
+    check_samples(theta, f, length)
     kept = (f >= SLACK_N).all(axis=1)
     if kept.sum() < FEWEST:
         raise TrainingError(
             f"of {len(f)} samples only {kept.sum()} have every wire taut, {FEWEST} are needed"
         )
     return theta[kept], f[kept], length[kept]
+
+
+def check_samples(theta: Array, f: Array, length: Array) -> None:
+    """Whether theta (T, N), f (T, M) [N] and length (T, M) are samples at all.
+
+    Raises:
+        TrainingError: unequal numbers, a number that is not finite.
+    """
+    if not len(theta) == len(f) == len(length):
+        raise TrainingError("angles, tensions and lengths are not equally many")
+    if not all(np.isfinite(a).all() for a in (theta, f, length)):
+        raise TrainingError("a sample is not a number")
 
 
 def residuals_m(schema: BodyModel, motions: Sequence[Motion]) -> Array:

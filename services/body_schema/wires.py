@@ -90,9 +90,11 @@ class Wires:
                 np.array(table["offset_m"], dtype=float),
                 np.array(table["stretch_m"], dtype=float),
             )
-        except (KeyError, TypeError, ValueError, msgspec.ValidationError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise ValueError(f"these are no wires: {error!r}") from error
         m = len(wires.muscles)
+        if len({*wires.muscles}) != m:
+            raise ValueError("a muscle has two wires")
         numbers = (wires.sites_m, wires.offset_m, wires.stretch_m)
         shapes = [(int(wires.first_site[-1]), 3), (m,), (m, STRETCH_TERMS)]
         if len(wires.paths) != m or [x.shape for x in numbers] != shapes:

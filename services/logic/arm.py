@@ -128,8 +128,6 @@ class Arm:
         self.excluded &= set(schema.muscles)
         self.guests.take_in(schema.muscles)
         self.plan = None
-        self._off_m.clear()
-        self._correction = 0.0
         if self.path is not None:
             theta, _ = self.path.now()
             self.path = Path.between(theta, theta, self._floor(), self._floor(), 1.0)
@@ -143,6 +141,8 @@ class Arm:
     def _fade(self) -> None:
         self._offset_m = None
         self._fade_s = 0.0
+        self._off_m.clear()  # part of what the arm does now: it comes in anew
+        self._correction = 0.0
 
     def drop(self) -> None:
         """Forget where the arm was going: after a stop it stays where it is."""

@@ -8,14 +8,16 @@ import pytest
 from runtime.messages import ChainCommand, JointState
 from services.body_schema.growth import grow
 from services.logic.arm import (
+    CORRECT_S,
     FADE_S,
+    FELT_S,
     LEASE_NS,
     STALE_NS,
     Arm,
     MotionRecorder,
 )
-from services.logic.guests import GUEST_BIAS_N, GUEST_RATE_N_S
-from services.logic.wiring import Wiring
+from services.logic.guests import GUEST_BIAS_N, GUEST_RATE_N_S, GUEST_TORQUE_S
+from services.logic.wiring import Wiring, nominal_paths
 from tests.unit.arm_bench import DT_S, MS, SETTINGS, SKELETON, Bench, K, shipped
 
 REACH_M = SETTINGS.module.target_speed_m_s * DT_S
@@ -193,6 +195,51 @@ def test_a_guests_torque_follows_from_its_tension_and_nominal_path() -> None:
     assert bench.arm.guests.torque_nm == pytest.approx(-20.0 * g[0])
 
 
+def test_a_guest_that_is_told_a_path_pulls_along_it_from_then_on() -> None:
+    bench = Bench(muscles=WITH_GUEST, tension_n={"biceps_3": 20.0})
+    bench.run(0.1)
+    guests, before = bench.arm.guests, bench.arm.guests.torque_nm.copy()
+    told = nominal_paths(SETTINGS.body_file)["triceps"]
+    assert guests.path("biceps_3") == SETTINGS.spare[0].path
+    guests.told("biceps_3", told)
+    assert guests.path("biceps_3") == told and guests.path("wing") is None
+    bench.step()
+    wiring = Wiring(SETTINGS.body_file, SETTINGS.joints, {"triceps": told})
+    _, g = wiring.lengths_and_jacobian(np.array([0.5]))
+    assert guests.torque_nm == pytest.approx(-20.0 * g[0])
+    assert guests.torque_nm[0] * before[0] < 0.0  # now it extends
+
+
+def test_a_guest_that_left_or_was_taken_in_does_nothing_to_the_joints() -> None:
+    bench = Bench(muscles=WITH_GUEST, tension_n={"biceps_3": 20.0})
+    bench.step()
+    guests = bench.arm.guests
+    assert guests.torque_nm[0] > 0.1
+    bench.muscles = SETTINGS.muscles
+    bench.step()
+    assert guests.torque_nm.tolist() == [0.0]
+    bench.muscles = WITH_GUEST
+    bench.arm.guests.bias_n["biceps_3"] = 30.0
+    bench.run(0.2)
+    assert guests.torque_nm[0] > 0.1 and guests.tension_n("biceps_3") > GUEST_BIAS_N
+    guests.take_in(("biceps_3",))
+    assert guests.torque_nm.tolist() == [0.0]
+    assert (guests.bias_n, guests.tension_n("biceps_3")) == ({}, GUEST_BIAS_N)
+
+
+def test_a_strangers_torque_is_found_slowly_and_only_while_all_others_are_felt() -> None:
+    bench = Bench(muscles=(*SETTINGS.muscles, "stranger"))
+    g = bench.schema.lengths_jacobian(np.array([0.5]), np.full(3, 12.0))[:, 0]
+    whole = SKELETON.gravity_torque_nm(np.array([0.5]))[0] + np.full(3, 12.0) @ g
+    bench.step()
+    assert bench.arm.guests.torque_nm[0] == pytest.approx(whole * DT_S / GUEST_TORQUE_S)
+    bench.run(5 * GUEST_TORQUE_S)
+    assert bench.arm.guests.torque_nm[0] == pytest.approx(whole, rel=0.02)
+    bench.muscles = ("triceps", "biceps_1", "stranger")
+    bench.step()
+    assert bench.arm.guests.torque_nm.tolist() == [0.0]
+
+
 def test_old_muscles_carry_what_a_guest_of_unknown_path_does_to_the_joint() -> None:
     bench = Bench(muscles=(*SETTINGS.muscles, "stranger"))
     bench.run(2.0)
@@ -243,6 +290,113 @@ def test_an_excluded_muscle_is_led_like_a_guest() -> None:
     command = bench.step()
     assert command.stiffness_n_m == (K, 0.0, K)
     assert bench.arm.plan is not None and bench.arm.plan.tension_n[1] < 1e-9
+
+
+# ── corrected by what is felt ─────────────────────────────────────────────────────────────────
+
+
+OFF = {"triceps": 0.002, "biceps_1": -0.003, "biceps_2": 0.004}
+
+
+def corrected(shift_m: dict[str, float]) -> Bench:
+    """An arm that has long been led by a schema that is off, and is now to follow what it feels."""
+    bench = Bench(shift_m=shift_m)
+    bench.run(FADE_S + 0.2)
+    bench.arm.corrected = True
+    return bench
+
+
+def from_plan(bench: Bench, command: ChainCommand) -> dict[str, float]:
+    """By how much targets differ from the plan's lengths."""
+    plan = bench.arm.plan
+    assert plan is not None
+    rows = zip(command.muscles, command.target_length_m, plan.length_m.tolist(), strict=True)
+    return {name: target - length for name, target, length in rows}
+
+
+def test_targets_follow_what_the_model_is_off_by() -> None:
+    bench = corrected(OFF)
+    assert from_plan(bench, bench.run(CORRECT_S + 0.1)) == pytest.approx(OFF, abs=1e-6)
+    bench.shift_m = {name: -shift for name, shift in OFF.items()}
+    wrong = {name: -shift for name, shift in OFF.items()}
+    soon = from_plan(bench, bench.run(FELT_S))
+    for name, shift in OFF.items():
+        assert 0.2 < soon[name] / -shift < 0.4  # of 2: 1 - 1 / e is gone by then
+    assert from_plan(bench, bench.run(10 * FELT_S)) == pytest.approx(wrong, abs=1e-6)
+
+
+def test_without_correction_targets_are_the_plans() -> None:
+    bench = Bench(shift_m=OFF)
+    bench.run(FADE_S + 0.2)
+    assert from_plan(bench, bench.step()) == pytest.approx(dict.fromkeys(OFF, 0.0), abs=1e-12)
+
+
+def test_correction_comes_and_goes_as_a_ramp() -> None:
+    bench = corrected(OFF)
+    half = from_plan(bench, bench.run(CORRECT_S / 2))
+    assert half == pytest.approx({name: shift / 2 for name, shift in OFF.items()}, rel=0.01)
+    bench.run(CORRECT_S)
+    bench.arm.corrected = False
+    half = from_plan(bench, bench.run(CORRECT_S / 2))
+    assert half == pytest.approx({name: shift / 2 for name, shift in OFF.items()}, rel=0.01)
+    bench.run(CORRECT_S / 2)
+    assert from_plan(bench, bench.step()) == pytest.approx(dict.fromkeys(OFF, 0.0), abs=1e-12)
+
+
+def largest_step_n(bench: Bench, seconds: float) -> float:
+    """Greatest change of any commanded tension from one tick to the next."""
+    before, largest = bench.reference_n(bench.step()), 0.0
+    for _ in range(round(seconds / DT_S)):
+        now = bench.reference_n(bench.step())
+        largest = max(largest, *(abs(now[name] - before[name]) for name in now))
+        before = now
+    return largest
+
+
+def test_nothing_jumps_when_correction_comes_or_goes() -> None:
+    bench = corrected(OFF)
+    usual = K * 0.004 * DT_S / CORRECT_S  # of a ramp over 4 mm
+    assert 0.9 * usual < largest_step_n(bench, 1.0) < 1.1 * usual
+    bench.arm.corrected = False
+    assert 0.9 * usual < largest_step_n(bench, 1.0) < 1.1 * usual
+    assert largest_step_n(bench, 0.2) < 1e-6
+
+
+@pytest.mark.parametrize("what", ["anchor", "drop", "use"])
+def test_control_that_begins_anew_while_corrected_changes_nothing_at_first(what: str) -> None:
+    bench = corrected(OFF)
+    bench.run(1.0)
+    bench.tension_n = dict(ODD)
+    bench.shift_m = {"triceps": 0.006, "biceps_1": -0.01, "biceps_2": 0.0}
+    bench.feel()
+    if what == "use":
+        bench.arm.use(shipped())
+        bench.arm._target_m.clear()  # of the way there, only its end matters here
+    else:
+        getattr(bench.arm, what)()
+    first = K * 0.01 * DT_S / CORRECT_S  # of the ramp by which correction comes in anew
+    assert bench.reference_n(bench.step()) == pytest.approx(ODD, abs=0.5 + first)
+    assert largest_step_n(bench, 2.0) < 0.05 * K * 0.01
+    assert from_plan(bench, bench.step()) == pytest.approx(bench.shift_m, abs=1e-4)
+
+
+def test_a_muscle_that_is_silent_for_a_while_leaves_the_correction_as_it_was() -> None:
+    bench = corrected(OFF)
+    bench.run(1.0)
+    bench.muscles = ("triceps", "biceps_1")
+    left = from_plan_of(bench, bench.run(0.3))
+    assert left == pytest.approx({name: OFF[name] for name in bench.muscles}, abs=1e-6)
+
+
+def from_plan_of(bench: Bench, command: ChainCommand) -> dict[str, float]:
+    """As `from_plan`, of the muscles that are there."""
+    plan = bench.arm.plan
+    assert plan is not None
+    length = dict(zip(bench.schema.muscles, plan.length_m.tolist(), strict=True))
+    return {
+        name: target - length[name]
+        for name, target in zip(command.muscles, command.target_length_m, strict=True)
+    }
 
 
 # ── recording ─────────────────────────────────────────────────────────────────────────────────

@@ -133,3 +133,88 @@ def test_nonsense_is_refused() -> None:
         planned(KnownWires(), 1.0, low=50.0, high=10.0)
     with pytest.raises(ValueError, match="no plan"):
         plan(untrained(), np.array([np.nan]), np.array([1.0]), 8.0, 120.0)
+
+
+# ── the least peak ────────────────────────────────────────────────────────────────────────────
+
+
+class Straight:
+    """Wires with moment arms that never change, one joint."""
+
+    joints = ("hinge",)
+
+    def __init__(self, *arms_m: float) -> None:
+        self.muscles = tuple(f"m{k}" for k in range(len(arms_m)))
+        self._g = -np.array(arms_m)[:, None]
+
+    def lengths_and_jacobian(self, theta: Array, f: Array) -> tuple[Array, Array]:
+        return self._g[:, 0] * theta[0], self._g
+
+
+def shared(arms_m: tuple[float, ...], torque: float, sharing: str, **limits: Any) -> Plan:
+    low, high = limits.get("low", 5.0), limits.get("high", 200.0)
+    wires: Any = Straight(*arms_m)
+    return plan(wires, np.zeros(1), np.array([torque]), low, high, sharing=sharing)
+
+
+def test_two_muscles_of_unequal_arms_share_evenly_by_the_least_peak() -> None:
+    norm, peak = (shared((0.04, 0.02), 3.0, way) for way in ("norm", "peak"))
+    np.testing.assert_allclose(norm.tension_n, [60.0, 30.0], rtol=1e-4)  # as their arms are
+    np.testing.assert_allclose(peak.tension_n, [50.0, 50.0], rtol=0.02)
+    assert peak.tension_n.max() <= 50.0 * 1.01 + 0.01
+    for found in (norm, peak):
+        assert found.converged
+        np.testing.assert_allclose(found.residual_torque_nm, [0.0], atol=1e-3)
+
+
+def test_equal_muscles_share_evenly_either_way() -> None:
+    for way in ("norm", "peak"):
+        f = shared((0.03, 0.03), 3.0, way).tension_n
+        np.testing.assert_allclose(f, [50.0, 50.0], rtol=1e-3)
+
+
+def test_a_muscle_that_cannot_help_does_not_pull_for_the_least_peak() -> None:
+    f = shared((0.04, 0.02, -0.03, 0.0), 3.0, "peak").tension_n
+    np.testing.assert_allclose(f[2:], 5.0, atol=0.05)
+    np.testing.assert_allclose(f[:2], (3.0 + 0.15) / 0.06, rtol=0.02)
+
+
+@pytest.mark.parametrize("arm_m", [0.015, 0.02, 0.03, 0.1])
+def test_no_torque_is_given_away_for_a_lower_peak(arm_m: float) -> None:
+    found = shared((arm_m,), 100.0 * arm_m, "peak")
+    np.testing.assert_allclose(found.tension_n, [100.0], rtol=1e-3)
+    assert abs(found.residual_torque_nm[0]) < 1e-3
+
+
+def test_limits_hold_for_the_least_peak() -> None:
+    low, high = np.array([5.0, 5.0, 70.0]), np.array([200.0, 30.0, 90.0])
+    found = shared((0.04, 0.02, 0.0), 3.0, "peak", low=low, high=high)
+    assert found.converged
+    assert (found.tension_n >= low - 1e-6).all() and (found.tension_n <= high + 1e-6).all()
+    # the third's floor is the peak already: what remains is shared by the norm
+    np.testing.assert_allclose(found.tension_n, [60.0, 30.0, 70.0], rtol=0.01)
+
+
+def test_a_floor_above_the_least_peak_is_kept() -> None:
+    low = np.array([5.0, 80.0])
+    f = shared((0.04, 0.02), 2.0, "peak", low=low).tension_n
+    np.testing.assert_allclose(f, [10.0, 80.0], rtol=0.02)
+
+
+def test_limits_that_forbid_the_torque_show_in_the_residual_of_the_least_peak_too() -> None:
+    found = shared((0.04, 0.02), 3.0, "peak", high=20.0)
+    np.testing.assert_allclose(found.tension_n, [20.0, 20.0], rtol=1e-3)
+    assert found.residual_torque_nm[0] == pytest.approx(1.8, abs=0.01)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(-1.5, 5.5))
+def test_the_least_peak_is_below_that_of_the_least_norm(torque: float) -> None:
+    answers = [
+        plan(KnownWires(), np.array([1.0]), np.array([torque]), 8.0, 120.0, sharing=way)  # type: ignore[arg-type]
+        for way in ("norm", "peak")
+    ]
+    norm, peak = (answer.tension_n for answer in answers)
+    assert peak.max() <= norm.max() * 1.01 + 0.05
+    assert norm @ norm <= peak @ peak * (1 + 1e-4)
+    assert abs(answers[1].residual_torque_nm[0]) < 2e-3

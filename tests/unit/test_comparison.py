@@ -1,0 +1,126 @@
+"""One small unit of a comparison: the rows that it should give, and the same ones each time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from experiments.comparison import Comparison
+from experiments.elbow import ELBOW
+from experiments.rig import Rig
+from experiments.session import SessionError
+from experiments.statistics import Run
+from experiments.sweep import Unit
+from experiments.variants import VARIANTS, Variant
+from runtime import messages as m
+from services.body_schema import train
+from services.body_schema.wires import WireModel
+
+SHORT = train.Recipe(steps=12, batch=512, rate=1e-3)  # of the network, which does not control here
+
+
+@pytest.fixture(autouse=True)
+def short_recipes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(train, "teach", partial(train.teach, recipe=SHORT))
+    monkeypatch.setattr(train, "relearn", partial(train.relearn, recipe=SHORT))
+
+
+def one_target(rig: Rig) -> dict[str, float]:
+    """A tiny score: one posture."""
+    assert rig.ask(m.Reach(angle_rad={"elbow": 1.2})).ok
+    rig.run(4.0)
+    truth = rig.robot.truth()
+    model = rig.executive.arm.schema
+    return {
+        "error_rad": abs(truth.angle_rad[0] - 1.2),
+        "muscles": float(len(truth.muscles)),
+        "known": float(len(model.muscles)) if model else 0.0,
+        "by_wires": float(isinstance(model, WireModel)),
+    }
+
+
+TINY = replace(ELBOW, score=one_target)
+
+
+def rows(comparison: Comparison, n_new: int, methods: tuple[str, ...] = ()) -> list[Run]:
+    unit = Unit("elbow", "clean", 3, n_new)
+    return comparison.unit(unit, methods, quick=True)
+
+
+def without_time(found: list[Run]) -> list[dict[str, object]]:
+    return [{key: row[key] for key in row if key != "wall_s"} for row in found]  # type: ignore[literal-required]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_wires_of_one_motion_are_tried_alone_and_twice_alike() -> None:
+    first, second = (rows(TINY, 1, ("(iv) wires",)) for _ in range(2))
+    (row,) = first
+    assert (row["method"], row["control"]) == ("(iv) wires", "converged")
+    assert (row["n_new"], row["seed"], row["variant"]) == (1, 3, "clean")
+    figures = row["figures"]
+    assert (figures["muscles"], figures["known"], figures["by_wires"]) == (4.0, 4.0, 1.0)
+    assert figures["error_rad"] < 0.03
+    assert 10.0 < figures["collect_peak_n"] < 150.0
+    assert row["wall_s"]["learn"] > 0.0
+    assert without_time(first) == without_time(second)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_baselines_are_tried_by_both_controls_and_know_what_they_should() -> None:
+    found = rows(TINY, 0, ("(iv) wires",))
+    assert [(row["method"], row["control"], row["n_new"]) for row in found] == [
+        ("before", "paper", 0),
+        ("before", "converged", 0),
+        ("oracle", "converged", 0),
+    ]
+    assert [row["figures"]["muscles"] for row in found] == [3.0, 3.0, 4.0]
+    assert found[2]["figures"]["error_rad"] < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_shared_tensions_are_tried_by_norm_and_by_peak() -> None:
+    said: list[str] = []
+
+    def sharing(rig: Rig) -> dict[str, float]:
+        said.append(rig.settings.control.sharing)
+        return {}
+
+    shared = replace(TINY, score=sharing, papers_control=False, shared=True)
+    found = rows(shared, 0)
+    assert [(row["method"], row["control"]) for row in found] == [
+        ("before", "norm"),
+        ("before", "peak"),
+        ("oracle", "norm"),
+        ("oracle", "peak"),
+    ]
+    assert said == ["norm", "peak", "norm", "peak"]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_a_robot_that_fails_its_task_is_a_row_that_says_so() -> None:
+    def never(rig: Rig) -> dict[str, float]:
+        raise SessionError("it never came to rest")
+
+    variants = {**VARIANTS, "clean": Variant("as ever")}
+    found = rows(replace(TINY, score=never, variants=variants), 1, ("(i)",))
+    assert [(row["method"], row["control"]) for row in found] == [
+        ("(i)", "paper"),
+        ("(i)", "converged"),
+    ]
+    for row in found:
+        assert row["figures"]["failed"] == 1.0
+        assert np.isfinite(row["figures"]["collect_peak_n"])
+
+
+def test_what_decides_about_results_is_in_the_fingerprint() -> None:
+    one = ELBOW.fingerprint()
+    assert one == TINY.fingerprint()
+    assert replace(ELBOW, robot="musashi_arm").fingerprint() != one
+    assert set(one) == {"robot", "body_crc", "schema_crc", "recipe", "descent"}
