@@ -200,9 +200,9 @@ def test_a_guest_that_is_told_a_path_pulls_along_it_from_then_on() -> None:
     bench.run(0.1)
     guests, before = bench.arm.guests, bench.arm.guests.torque_nm.copy()
     told = nominal_paths(SETTINGS.body_file)["triceps"]
-    assert guests.path("biceps_3") == SETTINGS.spare[0].path
+    assert guests.paths(("biceps_3",)) == {"biceps_3": SETTINGS.spare[0].path}
     guests.told("biceps_3", told)
-    assert guests.path("biceps_3") == told and guests.path("wing") is None
+    assert guests.paths(("biceps_3", "wing")) == {"biceps_3": told}
     bench.step()
     wiring = Wiring(SETTINGS.body_file, SETTINGS.joints, {"triceps": told})
     _, g = wiring.lengths_and_jacobian(np.array([0.5]))

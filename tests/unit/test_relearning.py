@@ -115,7 +115,7 @@ def test_the_robot_file_goes_before_the_drawing_and_what_was_found_before_both()
 
 def test_a_muscle_whose_path_nobody_told_is_named() -> None:
     muscles = (*SETTINGS.muscles, "stranger")
-    with pytest.raises(TrainingError, match=r"wire of stranger nominally runs; give it a \[\["):
+    with pytest.raises(TrainingError, match=r"wire of stranger nominally runs; plug it in"):
         grown(base(), job(muscles=muscles), SETTINGS, done)
 
 
@@ -144,9 +144,10 @@ def test_a_body_is_learned_again_by_wires_as_it_is() -> None:
 def test_wires_start_where_they_were_found_before() -> None:
     at = truth().wires
     known = base(MUSCLES).with_wires(replace(at, offset_m=np.zeros(4)))
-    model = fitted(known, motions(), MUSCLES, SETTINGS)
+    model = fitted(known, motions(), MUSCLES, SETTINGS, known_paths(known, SETTINGS))
     away = np.linalg.norm(model.wires.sites_m - at.sites_m, axis=1)
-    anew = fitted(base(MUSCLES), motions(), MUSCLES, SETTINGS).wires.sites_m
+    blank = base(MUSCLES)
+    anew = fitted(blank, motions(), MUSCLES, SETTINGS, known_paths(blank, SETTINGS)).wires.sites_m
     assert away.max() < 1e-3 < np.linalg.norm(anew - at.sites_m, axis=1).max()
 
 
