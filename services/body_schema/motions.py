@@ -64,10 +64,11 @@ def check_samples(theta: Array, f: Array, length: Array) -> None:
 def residuals_m(schema: BodyModel, motions: Sequence[Motion]) -> Array:
     """Root mean square of l - mask 110 for each muscle (M,) [m], where its own wire is taut.
 
-    The motions' columns are schema.joints and schema.muscles.
+    The motions' columns are schema.joints and schema.muscles. NaN for a muscle that is taut in
+    fewer than ten samples: nothing can be said of it.
 
     Raises:
-        TrainingError: a muscle is taut in fewer than ten samples; or see `taut_samples`.
+        TrainingError: that is so of every muscle; or see `taut_samples`.
     """
     theta = stacked([motion.angle_rad for motion in motions], len(schema.joints))
     f = stacked([motion.tension_n for motion in motions], len(schema.muscles))
@@ -75,13 +76,11 @@ def residuals_m(schema: BodyModel, motions: Sequence[Motion]) -> Array:
     if not len(theta) == len(f) == len(length):
         raise TrainingError("angles, tensions and lengths are not equally many")
     counts = (f >= SLACK_N).sum(axis=0)
-    if not len(f) or counts.min() < FEWEST:
-        slackest = schema.muscles[int(np.argmin(counts))]
-        raise TrainingError(
-            f"{slackest} is taut in {counts.min()} of {len(f)} samples, {FEWEST} are needed"
-        )
+    if not len(f) or counts.max() < FEWEST:
+        raise TrainingError(f"no wire is taut in {FEWEST} of {len(f)} samples")
     squares = np.where(f >= SLACK_N, (length - schema.lengths(theta, f)) ** 2, 0.0)
-    return np.asarray(np.sqrt(squares.sum(axis=0) / counts))
+    enough = np.where(counts >= FEWEST, counts, np.nan)
+    return np.asarray(np.sqrt(squares.sum(axis=0) / enough))
 
 
 def refit(
@@ -105,7 +104,7 @@ def refit(
     )
     left = residuals_m(moved, motions)
     for muscle, residual in zip(schema.muscles, left, strict=True):
-        if residual > limit_m:
+        if residual > limit_m or (muscle in returning and np.isnan(residual)):
             raise TrainingError(
                 f"{muscle} is off by {residual * 1e3:.1f} mm, {limit_m * 1e3:.1f} mm are allowed: "
                 "it is not where it was"

@@ -219,10 +219,13 @@ class Growth:
         residual_m = self._residual_m(candidate)
         mm = {name: round(value * 1e3, 3) for name, value in residual_m.items()}
         bad = [name for name, value in residual_m.items() if not value <= self._limit_m]
+        slack = record.kind != "shrink" and not {record.muscle, "schema"} & set(residual_m)
         words = ", ".join(f"{name} {value:.2f} mm" for name, value in mm.items())
-        if bad:
+        if bad or slack:
             limit_mm = self._limit_m * 1e3
             reason = f"length residual on held-out motion above {limit_mm:.1f} mm: {words}"
+            if slack:
+                reason = f"'{record.muscle}' hung slack on held-out motion: nobody can judge it"
             self.over = f"candidate refused: {reason}"
             yield SchemaVerdict(
                 stamp_ns=now_ns, job=record.job, adopted=False, reason=reason, residual_mm=mm
@@ -269,14 +272,16 @@ def held_out_residual_m(
 ) -> dict[str, float]:
     """Root mean square of measured minus predicted length [m] by muscle; inf for a bad schema.
 
-    Of the network and of what controls in its place, the worse.
+    Of the network and of what controls in its place, the worse. A muscle that hung slack nearly all
+    the time is left out: nothing can be said of it.
     """
     try:
         schema = Schema.from_bytes(data)
         rms = np.maximum(residuals_m(schema, motions), residuals_m(served(schema), motions))
     except (SchemaError, TrainingError):
         return {"schema": float("inf")}
-    return dict(zip(schema.muscles, rms.tolist(), strict=True))
+    judged = zip(schema.muscles, rms.tolist(), strict=True)
+    return {name: value for name, value in judged if not np.isnan(value)}
 
 
 def spread_targets(

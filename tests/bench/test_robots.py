@@ -1,0 +1,33 @@
+"""The larger robots' demos, live at real-time speed: each grows and does its task better."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from runtime.settings import load_robot
+
+
+@pytest.mark.timeout(700)
+@pytest.mark.parametrize("robot", ["musashi_arm", "musashi_w"])
+def test_a_larger_robot_grows(robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    out = tmp_path / "figures.json"
+    demo = subprocess.run(
+        [sys.executable, "-m", "runtime.cli.main", "demo", robot, f"--json={out}"],
+        capture_output=True,
+        text=True,
+        timeout=690,
+    )
+    print(demo.stdout)
+    assert demo.returncode == 0, demo.stderr
+    figures = json.loads(out.read_text())
+    before, after = figures["before"], figures["after"]
+    assert after["e_theta_rad"] <= 1.25 * before["e_theta_rad"]
+    assert after["peak_tension_n"] < before["peak_tension_n"]
+    assert after["sigma_f_n"] < before["sigma_f_n"]
+    assert after["peak_tension_n"] < load_robot(robot).module.tension_limit_n
