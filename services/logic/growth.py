@@ -272,12 +272,12 @@ def held_out_residual_m(
 ) -> dict[str, float]:
     """Root mean square of measured minus predicted length [m] by muscle; inf for a bad schema.
 
-    Of the network and of what controls in its place, the worse. A muscle that hung slack nearly all
+    Of what will control: the schema's wires, else its network. A muscle that hung slack nearly all
     the time is left out: nothing can be said of it.
     """
     try:
         schema = Schema.from_bytes(data)
-        rms = np.maximum(residuals_m(schema, motions), residuals_m(served(schema), motions))
+        rms = residuals_m(served(schema), motions)
     except (SchemaError, TrainingError):
         return {"schema": float("inf")}
     judged = zip(schema.muscles, rms.tolist(), strict=True)
