@@ -30,7 +30,10 @@ def render(name: str) -> str:
     tables = [markdown_table(measure, runs) for measure in told]
     claimed = [measure for measure in told if measure.claims]
     orders = [
-        line for measure in claimed for line in ordering_lines(measure, runs) if "paper:" in line
+        line
+        for measure in claimed
+        for line in ordering_lines(measure, runs)
+        if "the paper:" in line
     ]
     return "\n\n".join([*tables, "\n".join(["```", *orders, "```"]) if orders else ""]).strip()
 
@@ -46,9 +49,11 @@ def with_results(page: str) -> str:
 
 
 def draw(name: str) -> list[Path]:
-    """One picture for each control."""
+    """One picture for each control, once there are two numbers of motions to draw a line between."""
     module = importlib.import_module(f"experiments.{name}")
     runs, files = _runs(name), []
+    if len({run["n_new"] for run in runs} - {0}) < 2:
+        return files
     for control in dict.fromkeys(run["control"] for run in runs):
         some = [run for run in runs if run["control"] == control]
         measures = [m for m in module.MEASURES if any(m.figure in r["figures"] for r in some)]

@@ -25,6 +25,7 @@ _LEVELS: dict[str, dict[str, Any]] = {
     "before": {"color": INK, "ls": (0, (5, 2)), "lw": 1.3},
     "oracle": {"color": FAINT, "ls": (0, (1, 1.2)), "lw": 1.8},
 }
+_COLUMNS = 5  # of the legend: more would be cut off
 _GREEK = ("theta", "sigma")
 
 
@@ -136,7 +137,7 @@ def _place(figure: Figure, handles: list[Any]) -> None:
     figure.legend(
         handles=handles,
         loc="outside lower center",
-        ncols=len(handles),
+        ncols=min(len(handles), _COLUMNS),
         frameon=False,
         fontsize=9,
         handlelength=2.4,
