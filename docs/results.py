@@ -49,7 +49,7 @@ def with_results(page: str) -> str:
 
 
 def draw(name: str) -> list[Path]:
-    """One picture for each control, once there are two numbers of motions to draw a line between."""
+    """One picture for each control, once there are two numbers of motions for a line."""
     module = importlib.import_module(f"experiments.{name}")
     runs, files = _runs(name), []
     if len({run["n_new"] for run in runs} - {0}) < 2:
