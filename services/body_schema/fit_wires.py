@@ -30,6 +30,7 @@ DATA_SIGMA_M = 0.15e-3  # sensors and what the model leaves out, beside a sample
 TENSION_SIGMA_N = 0.3
 VIRTUAL = 120  # samples that h_old is asked for
 VIRTUAL_SIGMA_M = 0.3e-3  # what h_old is off by anyway
+MISFIT_COUNTS = 10.0  # h_old is off in one way everywhere: its samples are no independent witnesses
 SAMPLES = 500  # of new motion: neighbours say the same
 ROUNDS = 12
 DONE_M = 1e-6
@@ -120,16 +121,13 @@ def _virtual(
     return Samples(theta, f, length, sigma)
 
 
-MISFIT_COUNTS = 10.0  # h_old is off in one way everywhere: its samples are no independent witnesses
-
-
 def _start(geometry: Geometry, data: Samples) -> tuple[Array, Array, Array]:
     """Nominal sites, usual elements, and the offset that fits best to them."""
     m = len(geometry.muscles)
     sites = geometry.sites_m.copy()
     stretch = np.tile(STRETCH_MEAN_M, (m, 1))
     geometry.place(sites)
-    path = np.array([geometry.lengths_and_jacobian(t)[0] for t in data.theta])
+    path = np.array([geometry.lengths(t) for t in data.theta])
     off = data.length - path + np.vecdot(stretch_terms(data.f), stretch)
     offset = np.zeros(m)
     for k in range(m):

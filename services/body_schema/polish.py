@@ -20,13 +20,8 @@ RIDGE = 1e-9  # of scaled quantities, towards the weights as they were
 def polished(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
     """The schema with its last layer fitted to theta (T, N) [rad], f (T, M) [N], length (T, M)."""
     c = columns(len(schema.joints), len(schema.muscles))
-    groups = (
-        theta / schema.theta_scale_rad,
-        f / schema.tension_scale_n,
-        (length - schema.length_reference_m) / schema.length_scale_m,
-    )
-    targets = np.hstack(groups)
-    widths = [group.shape[1] for group in groups]
+    targets = schema.scaled(theta, f, length)
+    widths = (len(schema.joints), len(schema.muscles), len(schema.muscles))
     *layers, (w, b) = schema.weights
     rows = np.hstack((w, b[:, None]))  # (N + 2 M, 201)
     for mask, own in ((LENGTHS, c.length), (ANGLES, c.theta), (TENSIONS, c.tension)):

@@ -81,6 +81,16 @@ class Schema:
         sigmas = self.length_sigma_m * 1e3
         return {name: float(mm) for name, mm in zip(self.muscles, sigmas, strict=True)}
 
+    def scaled(self, theta: Array, f: Array, length: Array) -> Array:
+        """Samples as the network has them: (T, N), (T, M), (T, M) -> (T, N + 2 M)."""
+        return np.hstack(
+            (
+                theta / self.theta_scale_rad,
+                f / self.tension_scale_n,
+                (length - self.length_reference_m) / self.length_scale_m,
+            )
+        )
+
     def with_wires(self, wires: Wires) -> Schema:
         """The same network, and the wires beside it."""
         return replace(self, wires=wires)

@@ -237,13 +237,8 @@ class _Data:
 
 
 def _scaled(schema: Schema, theta: Array, f: Array, length: Array) -> _Data:
-    groups = (
-        theta / schema.theta_scale_rad,
-        f / schema.tension_scale_n,
-        (length - schema.length_reference_m) / schema.length_scale_m,
-    )
-    targets = np.hstack(groups)
-    widths = [group.shape[1] for group in groups]
+    targets = schema.scaled(theta, f, length)
+    widths = (len(schema.joints), len(schema.muscles), len(schema.muscles))
     inputs = [
         np.hstack((targets * np.repeat(mask, widths), np.tile(mask, (len(f), 1)))) for mask in MASKS
     ]
