@@ -57,7 +57,7 @@ class Comparison:
             "robot": msgspec.to_builtins(msgspec.structs.replace(settings, file="")),
             "body_crc": zlib.crc32(settings.body_file.read_bytes()),
             "schema_crc": zlib.crc32(_shipped(settings)),
-            "recipe": asdict(train.NEW),
+            "recipes": [asdict(train.NEW), asdict(train.TEACH)],
             "descent": asdict(Descent()),
         }
 

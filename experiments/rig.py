@@ -66,6 +66,7 @@ class Rig:
         self.last: dict[type[Message], Message] = {}
         self.watchers: list[Callable[[Message], None]] = []
         self._parts: list[_Part] = []
+        self._quiet_until_ns = 0  # until then nobody has anything to do, unless something arrives
         self._readers: dict[type[Message], list[_Part]] = defaultdict(list)
         self._replies: dict[str, deque[tuple[int, m.BusReply]]] = defaultdict(deque)  # by chain
         self.stores = stores or {chain.name: MemoryStore() for chain in settings.chain}
@@ -93,6 +94,7 @@ class Rig:
         """Let a logic take part."""
         part = _Part(logic, self.robot.now_ns)
         self._parts.append(part)
+        self._quiet_until_ns = 0
         for kind in logic.inputs:
             self._readers[kind].append(part)
         return logic
@@ -121,7 +123,7 @@ class Rig:
         for part in self._parts:
             if type(request) in part.logic.requests:
                 reply = part.logic.answer(request, self.now_ns)
-                part.woken = True
+                self._wake(part)
         return reply
 
     def _by_hand(self, request: m.Plug | m.Unplug | m.Fault) -> m.Event:
@@ -159,9 +161,12 @@ class Rig:
         for waiting in self._replies.values():
             while waiting and waiting[0][0] <= now_ns:
                 self._publish([waiting.popleft()[1]])
+        if now_ns < self._quiet_until_ns:
+            return
         for _ in range(8):  # answers to answers within the step: ends as logics fall silent
             ready = [part for part in self._parts if part.woken or part.due_ns <= now_ns]
             if not ready:
+                self._quiet_until_ns = min([part.due_ns for part in self._parts], default=0)
                 break
             for part in ready:
                 part.woken = False
@@ -193,7 +198,11 @@ class Rig:
             watcher(message)
         for part in self._readers.get(kind, ()):
             part.logic.receive(message, self.robot.now_ns)
-            part.woken = True
+            self._wake(part)
+
+    def _wake(self, part: _Part) -> None:
+        part.woken = True
+        self._quiet_until_ns = 0
 
 
 def shipped_schema(settings: RobotSettings) -> bytes | None:

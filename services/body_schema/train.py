@@ -48,6 +48,7 @@ class Recipe:
 
 OLD = Recipe(steps=20_000, batch=128, rate=4e-3)
 NEW = Recipe(steps=3000, batch=32, rate=2e-3, passes=25)
+TEACH = Recipe(steps=1500, batch=32, rate=3e-3)  # the rest is for the last layer's least squares
 LESS = Recipe(steps=2000, batch=64, rate=2e-3)
 TAUGHT = 8192  # random (theta, f) that a teacher is asked about
 REPLAYED = 8192  # random (theta, f) that h_old is asked about
@@ -145,7 +146,7 @@ def teach(
     teacher: Callable[[Array, Array], Array],
     *,
     seed: int = 0,
-    recipe: Recipe = NEW,
+    recipe: Recipe = TEACH,
     progress: Progress | None = None,
 ) -> Schema:
     """h_new as a pupil of somebody who knows l = teacher(theta, f), (B, N), (B, M) -> (B, M).

@@ -50,6 +50,7 @@ class Arm:
         self.schema: BodyModel | None = None
         self.path: Path | None = None
         self.plan: Plan | None = None
+        self._asked: tuple[bytes, ...] = ()  # what the plan was made for
         self.excluded: set[str] = set()  # schema muscles that must not be relied on
         self.corrected = False  # whether lengths follow what the model is found to be off by
         self.guests = Guests(settings, skeleton)
@@ -192,15 +193,14 @@ class Arm:
     def planned(self, theta: Array, floor_n: Array, ceiling_n: Array) -> Plan:
         """Tensions and lengths for a posture (N,) between floor and ceiling, both (M,)."""
         assert self.schema is not None
-        return plan(
-            self.schema,
-            theta,
-            self.skeleton.gravity_torque_nm(theta) - self.guests.torque_nm,
-            floor_n,
-            ceiling_n,
-            None if self.plan is None else self.plan.tension_n,
-            self.settings.control.sharing,
-        )
+        torque = self.skeleton.gravity_torque_nm(theta) - self.guests.torque_nm
+        asked = tuple(x.tobytes() for x in (theta, torque, floor_n, ceiling_n))
+        if self.plan is not None and self.plan.converged and asked == self._asked:
+            return self.plan  # at rest: planning goes on from the last plan and would find it again
+        self._asked = asked
+        start = None if self.plan is None else self.plan.tension_n
+        sharing = self.settings.control.sharing
+        return plan(self.schema, theta, torque, floor_n, ceiling_n, start, sharing)
 
     def _feel_errors(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
         """What the model's lengths are off by where the arm is now.

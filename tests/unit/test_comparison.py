@@ -123,4 +123,4 @@ def test_what_decides_about_results_is_in_the_fingerprint() -> None:
     one = ELBOW.fingerprint()
     assert one == TINY.fingerprint()
     assert replace(ELBOW, robot="musashi_arm").fingerprint() != one
-    assert set(one) == {"robot", "body_crc", "schema_crc", "recipe", "descent"}
+    assert set(one) == {"robot", "body_crc", "schema_crc", "recipes", "descent"}
