@@ -1,6 +1,7 @@
 """Write docs/science.md's tables and pictures from docs/results/*.json: `python -m docs.results`.
 
-Each JSON is what `python -m experiments NAME --json FILE` wrote: every single run.
+Each JSON is what `python -m experiments NAME --json FILE` wrote: every single run. What belongs to
+one experiment may lie in several: `elbow.json`, `elbow-variants.json`.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from experiments.against import against_table
 from experiments.plots import draw_over_n
 from experiments.tables import markdown_table, ordering_lines
 
@@ -18,9 +20,10 @@ PAGE = HERE / "science.md"
 EXPERIMENTS = ("elbow", "arm", "lift")
 
 
-def results(name: str) -> Path:
+def results(name: str) -> list[Path]:
     """The committed results of one experiment."""
-    return HERE / "results" / f"{name}.json"
+    folder = HERE / "results"
+    return sorted([*folder.glob(f"{name}.json"), *folder.glob(f"{name}-*.json")])
 
 
 def render(name: str) -> str:
@@ -28,6 +31,7 @@ def render(name: str) -> str:
     runs, measures = _runs(name), importlib.import_module(f"experiments.{name}").MEASURES
     told = [measure for measure in measures if any(measure.figure in r["figures"] for r in runs)]
     tables = [markdown_table(measure, runs) for measure in told]
+    tables += filter(None, [against_table(measure, runs) for measure in told])
     claimed = [measure for measure in told if measure.claims]
     orders = [
         line
@@ -42,7 +46,7 @@ def with_results(page: str) -> str:
     """The page with all results between their markers."""
     for name in EXPERIMENTS:
         begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-        if begin in page and results(name).exists():
+        if begin in page and results(name):
             before, _, rest = page.partition(begin)
             page = f"{before}{begin}\n{render(name)}\n{end}{rest.partition(end)[2]}"
     return page
@@ -66,11 +70,12 @@ def draw(name: str) -> list[Path]:
 
 
 def _runs(name: str) -> list[Any]:
-    return list(json.loads(results(name).read_text(encoding="utf-8"))["runs"])
+    told = [json.loads(file.read_text(encoding="utf-8")) for file in results(name)]
+    return [run for one in told for run in one["runs"]]
 
 
 if __name__ == "__main__":
     PAGE.write_text(with_results(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     for experiment in EXPERIMENTS:
-        if results(experiment).exists():
+        if results(experiment):
             draw(experiment)
