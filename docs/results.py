@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from experiments.against import against_table
+from experiments.comparison import LEARNING
 from experiments.plots import draw_over_n
+from experiments.statistics import by_seed
 from experiments.tables import markdown_table, ordering_lines
 
 HERE = Path(__file__).parent
@@ -29,9 +31,11 @@ def results(name: str) -> list[Path]:
 def render(name: str) -> str:
     """Tables of all measures, and which method is lower for each N_new."""
     runs, measures = _runs(name), importlib.import_module(f"experiments.{name}").MEASURES
-    told = [measure for measure in measures if any(measure.figure in r["figures"] for r in runs)]
+    told = [measure for measure in measures if by_seed(runs, measure.figure)]
     tables = [markdown_table(measure, runs) for measure in told]
-    tables += filter(None, [against_table(measure, runs) for measure in told])
+    tables += filter(
+        None, [against_table(measure, runs) for measure in told if measure is not LEARNING]
+    )
     claimed = [measure for measure in told if measure.claims]
     orders = [
         line

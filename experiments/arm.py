@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from experiments import options
-from experiments.comparison import Comparison
+from experiments.comparison import LEARNING, Comparison
 from experiments.methods import METHODS
 from experiments.options import Choices
 from experiments.report import carry_out
@@ -49,6 +49,7 @@ MEASURES = (
     Measure("r_f", "R_f", "", 3, claims=dict.fromkeys(CHOICES.n_new, "(i) < (iii) < (ii)")),
     Measure("f4_max_n", "f4max", "N", 1, claims=dict.fromkeys((5, 10, 15), "(iii) = (ii) < (i)")),
     Measure("collect_peak_n", "greatest tension while collecting", "N", 0),
+    LEARNING,
 )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
-from time import perf_counter
+from time import process_time
 
 import msgspec
 
@@ -17,8 +17,9 @@ from experiments.oracle import Oracle
 from experiments.paper_control import Descent, PaperArm
 from experiments.rig import Rig
 from experiments.session import SessionError
-from experiments.statistics import Run
+from experiments.statistics import BASELINES, Run
 from experiments.sweep import Unit
+from experiments.tables import Measure
 from experiments.trial import Collected, collect, start
 from experiments.variants import Variant
 from runtime.settings import RobotSettings, load_robot
@@ -27,6 +28,7 @@ from services.body_schema.schema import Schema
 from services.logic.arm import Arm
 
 PAPERS, CONVERGED = "paper", "converged"
+LEARNING = Measure("learn", "relearning, processor time", "s", 1)
 Score = Callable[[Rig], dict[str, float]]  # runs the task; raises SessionError if it does not end
 
 
@@ -88,16 +90,16 @@ class Comparison:
                 papers = control == PAPERS
                 if papers not in schemas:
                     motions = settled(collected.new) if papers else collected.new
-                    begin_s = perf_counter()
+                    begin_s = process_time()
                     schemas[papers] = relearned(
                         method, network, motions, settings, unit.seed, quick
                     )
-                    trials.learn_s = perf_counter() - begin_s
+                    trials.learn_s = process_time() - begin_s
                 trials.run(method, control, schemas[papers], collected)
         if {"(iv)", "(iv) network"} & {*methods}:
-            begin_s = perf_counter()
+            begin_s = process_time()
             models = wired(old, collected.new, settings, unit.seed)
-            trials.learn_s = perf_counter() - begin_s
+            trials.learn_s = process_time() - begin_s
             for method, model in models.items():
                 for control in converged if method in methods else ():
                     trials.run(method, control, model, collected)
@@ -150,7 +152,7 @@ class _Trials:
                 seed=self._unit.seed,
                 variant=self._unit.variant,
                 figures=figures,
-                wall_s={"learn": self.learn_s},
+                wall_s={"learn": self.learn_s} if method not in BASELINES else {},
             )
         )
 

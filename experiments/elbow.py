@@ -12,7 +12,7 @@ from dataclasses import asdict
 from functools import partial
 
 from experiments import options
-from experiments.comparison import Comparison
+from experiments.comparison import LEARNING, Comparison
 from experiments.methods import METHODS
 from experiments.options import Choices
 from experiments.report import carry_out
@@ -54,6 +54,7 @@ MEASURES = (
             **dict.fromkeys((3, 5, 7, 10, 15), "(i) < (iii) = (ii)"),
         },
     ),
+    LEARNING,
 )
 
 

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from experiments import options
-from experiments.comparison import Comparison
+from experiments.comparison import LEARNING, Comparison
 from experiments.methods import METHODS
 from experiments.options import Choices
 from experiments.report import carry_out
@@ -41,6 +41,7 @@ MEASURES = (
     Measure("share_sd_n", "spread at the peak", "N", 1),
     Measure("e_theta_rad", "E_theta", "rad", 3),
     Measure("collect_peak_n", "greatest tension while collecting", "N", 0),
+    LEARNING,
 )
 
 

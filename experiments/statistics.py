@@ -72,13 +72,17 @@ class Difference(NamedTuple):
 
 
 def by_seed(runs: Iterable[Run], figure: str) -> dict[Cell, dict[int, float]]:
-    """One figure of every cell by seed; a seed told several times counts once, with its mean."""
+    """One figure, or one of what took time, of every cell by seed.
+
+    A seed told several times counts once, with its mean.
+    """
     values: dict[Cell, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
     for run in runs:
-        if figure in run["figures"]:
+        told = {**run.get("wall_s", {}), **run["figures"]}
+        if figure in told:
             n_new = 0 if run["method"] in BASELINES else run["n_new"]
             cell = Cell(run["variant"], run["control"], run["method"], n_new)
-            values[cell][run["seed"]].append(run["figures"][figure])
+            values[cell][run["seed"]].append(told[figure])
     return {
         cell: {seed: math.fsum(told) / len(told) for seed, told in seeds.items()}
         for cell, seeds in values.items()

@@ -17,6 +17,7 @@ import os
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
@@ -123,6 +124,8 @@ def _on_loky(units: Sequence[Unit], work: Work, jobs: int) -> Generator[str, Non
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
+    # loky replaces a worker that has grown, as each does when its first training imports torch
+    warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
     with parallel_config("loky", inner_max_num_threads=1):
         parallel = Parallel(
             n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs"
