@@ -11,13 +11,13 @@ a robot is the same robot each time, and for spares by the run's seed too.
 
 from __future__ import annotations
 
-import zlib
 from typing import Any
 
 import mujoco as mj
 import numpy as np
 
 from hardware_sim.grasp import Grasp
+from hardware_sim.surprises import pad, put_ball, seeded, surprise
 from hardware_sim.wire_drive import (
     Array,
     WireDrive,
@@ -162,20 +162,21 @@ class Plant:
         """
         if name in self.wires:
             raise ValueError(f"muscle '{name}' is on the body already")
-        rng = self._rng(name if name in self.paths else f"{self.seed}/{name}")
+        rng = seeded(name if name in self.paths else f"{self.seed}/{name}")
         places = (path.attachment, *path.relays)
         self._check_path(places)
-        soft = self.simulation.soft_part_m > 0.0 and not any(place.wrap for place in places)
+        soft_m = self.simulation.soft_part_m
+        guided = any(place.wrap for place in places)
         tendon = self._spec.add_tendon(name=name)
         for k, place in enumerate(places):
             if place.wrap:
-                padded = self.simulation.soft_part_m > 0.0
-                geom = self._soft_part(name, place) if padded else place.wrap
+                geom = pad(self._spec, name, place.wrap, soft_m) if soft_m else place.wrap
                 tendon.wrap_geom(geom, place.side)
                 continue
             site = f"{name}/{k}"
-            if soft and place is places[-1]:
-                tendon.wrap_geom(self._soft_ball(name, places[k - 1], place), "")
+            if soft_m and not guided and place is places[-1]:
+                ball = put_ball(self._spec, self.model, name, places[k - 1], place, soft_m)
+                tendon.wrap_geom(ball, "")
             position = np.asarray(place.position_m) + self._assembly_error(rng)
             self._spec.body(place.link).add_site(name=site, pos=position)
             tendon.wrap_site(site)
@@ -263,64 +264,15 @@ class Plant:
         # before anything is displaced: wires may share a site
         self.paths = {tendon.name: path_of_tendon(tendon) for tendon in self._spec.tendons}
         for tendon in self._spec.tendons:
-            rng = self._rng(tendon.name)
+            rng = seeded(tendon.name)
             for wrap in tendon.path:
                 if wrap.type == mj.mjtWrap.mjWRAP_SITE:
                     wrap.target.pos = wrap.target.pos + self._assembly_error(rng)
             self._as_wire(tendon)
             self.wires.append(tendon.name)
-        self._surprise()
+        surprise(self._spec, self.joints, self.simulation, self.seed)
         self._spec.option.timestep = DT_S
         self._spec.option.integrator = mj.mjtIntegrator.mjINT_EULER
-
-    def _surprise(self) -> None:
-        """Insertions and joints that are not where everybody believes; other ones for each seed."""
-        simulation, spec = self.simulation, self._spec
-        if simulation.moved_m:
-            for tendon in spec.tendons:
-                insertion = [w for w in tendon.path if w.type == mj.mjtWrap.mjWRAP_SITE][-1].target
-                direction = _direction(self._rng(f"{self.seed}/{tendon.name}/moved"))
-                insertion.pos = insertion.pos + simulation.moved_m * direction
-        if simulation.joint_error_m or simulation.joint_error_rad:
-            for name in self.joints:
-                joint, rng = spec.joint(name), self._rng(f"{self.seed}/{name}/joint")
-                joint.pos = joint.pos + simulation.joint_error_m * _direction(rng)
-                joint.axis = _turned(joint.axis, simulation.joint_error_rad, rng)
-
-    def _soft_part(self, name: str, place: Place) -> str:
-        """Padding on what a wire is laid around, unknown to the skeleton: the name of its geom."""
-        part = f"{name}/soft"
-        bone = self._spec.geom(place.wrap)
-        soft = bone.parent.add_geom(name=part, type=bone.type, pos=bone.pos, quat=bone.quat)
-        soft.fromto = bone.fromto
-        soft.size = bone.size + np.array([self.simulation.soft_part_m, 0.0, 0.0])
-        soft.contype, soft.conaffinity, soft.mass = 0, 0, 1e-6
-        return part
-
-    def _soft_ball(self, name: str, before: Place, end: Place) -> str:
-        """A ball in the way of a wire's last span, unknown to the skeleton: the name of its geom.
-
-        It sits on the link where that span begins, two radii along it in the body's zero posture
-        and half a radius aside: there a wire swings least when the joints move, and stays on it.
-        """
-        part, radius = f"{name}/soft", self.simulation.soft_part_m
-        data = mj.MjData(self.model)
-        mj.mj_kinematics(self.model, data)
-        links = [data.body(place.link) for place in (before, end)]
-        turn = links[0].xmat.reshape(3, 3)
-        start_m = np.asarray(before.position_m)
-        end_m = links[1].xpos + links[1].xmat.reshape(3, 3) @ np.asarray(end.position_m)
-        span_m = turn.T @ (end_m - links[0].xpos) - start_m
-        along = span_m / np.linalg.norm(span_m)
-        aside = _across(along, self._rng(part))
-        soft = self._spec.body(before.link).add_geom(
-            name=part,
-            type=mj.mjtGeom.mjGEOM_SPHERE,
-            size=[radius, 0.0, 0.0],
-            pos=start_m + radius * (2.0 * along + 0.5 * aside),
-        )
-        soft.contype, soft.conaffinity, soft.mass = 0, 0, 1e-6
-        return part
 
     def _take_off(self, name: str) -> None:
         self._spec.delete(self._spec.tendon(name))
@@ -378,24 +330,3 @@ class Plant:
 
     def _assembly_error(self, rng: np.random.Generator) -> Array:
         return rng.normal(0.0, self.simulation.assembly_error_m / np.sqrt(3.0), 3)
-
-    def _rng(self, text: str) -> np.random.Generator:
-        return np.random.default_rng(zlib.crc32(text.encode()))
-
-
-def _direction(rng: np.random.Generator) -> Array:
-    """A random one, of length 1."""
-    vector = rng.normal(size=3)
-    return np.asarray(vector / np.linalg.norm(vector))
-
-
-def _across(axis: Array, rng: np.random.Generator) -> Array:
-    """A random direction at right angles to an axis of length 1."""
-    vector = np.cross(axis, _direction(rng))
-    return np.asarray(vector / np.linalg.norm(vector))
-
-
-def _turned(axis: Array, angle_rad: float, rng: np.random.Generator) -> Array:
-    """An axis turned by an angle, whichever way, of length 1."""
-    axis = np.asarray(axis / np.linalg.norm(axis))
-    return np.asarray(np.cos(angle_rad) * axis + np.sin(angle_rad) * _across(axis, rng))
