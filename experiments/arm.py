@@ -1,7 +1,7 @@
 """The paper's second experiment: five joints, ten muscles, an eleventh beside the elbow's flexors.
 
 Ten random targets. h_old is the arm's own, or that of an imperfect geometric model, as the paper's
-authors start: sites 20 mm off, no friction (variant `model`).
+authors start: sites 20 mm off, no friction, refined on five motions (variant `model`).
 """
 
 from __future__ import annotations

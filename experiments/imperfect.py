@@ -1,26 +1,31 @@
 """A first body schema from a drawing instead of motion: what the robot is believed to be like.
 
-As the paper's authors start: wires run where the drawing says, off by centimetres, nothing rubs.
-The drawing goes with the schema, for it is all that the robot knows of its wires.
+As the paper's authors start: wires run where the drawing says, off by centimetres, nothing rubs;
+then a little motion of the robot refines what was learned from it. The wires go with the schema,
+fitted to the same motion, so that whoever goes on from here knows the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
+from experiments.trial import Collected, collect_again
 from hardware_sim.wire_drive import elastic_stretch_m
 from runtime.settings import RobotSettings
 from services.body_schema.motions import SLACK_N
 from services.body_schema.network import Array
 from services.body_schema.schema import Schema
 from services.body_schema.wires import WireModel, Wires, stretch_terms
+from services.logic.relearning import fitted, known_paths
 from services.logic.wiring import Wiring, nominal_paths
 
 SAMPLES = 25_000
 STRONGEST_N = 100.0
 REST_N = 8.0  # tension at which lengths were zeroed
+REFINE_SEED = 1000  # and up: of robots that refine, which no experiment tries anything on
 
 
 def drawn_wires(settings: RobotSettings, error_m: float, seed: int) -> WireModel:
@@ -45,17 +50,54 @@ def learn_drawn(
     settings: RobotSettings,
     error_m: float,
     seed: int = 0,
+    *,
+    quick: bool = False,
     progress: Callable[[int, int, float, float, float], None] | None = None,
 ) -> Schema:
     """h_old of the drawing."""
-    from services.body_schema.train import train_old  # torch: only who trains pays for it
+    from services.body_schema.train import OLD, train_old  # torch: only who trains pays for it
 
     model = drawn_wires(settings, error_m, seed)
     theta, f = _samples(settings, len(model.muscles), np.random.default_rng([seed, 8]))
     schema = train_old(
-        model.joints, model.muscles, theta, f, model.lengths(theta, f), seed=seed, progress=progress
+        model.joints,
+        model.muscles,
+        theta,
+        f,
+        model.lengths(theta, f),
+        seed=seed,
+        recipe=replace(OLD, steps=OLD.steps // 10) if quick else OLD,
+        progress=progress,
     )
     return schema.with_wires(model.wires)
+
+
+def refine_drawn(
+    settings: RobotSettings,
+    drawn: Schema,
+    motions: int,
+    seed: int = 0,
+    *,
+    quick: bool = False,
+    progress: Callable[[int, int, float, float, float], None] | None = None,
+) -> tuple[Schema, Collected]:
+    """h_old of the drawing after a little motion: network by method (iii), wires fitted.
+
+    Raises:
+        SessionError: the drawing is so far off that the robot cannot move.
+        TrainingError: no wire was taut.
+    """
+    from services.body_schema.train import NEW, relearn
+
+    network = replace(drawn, wires=None)
+    collected = collect_again(settings, REFINE_SEED + seed, network, motions)
+    paths = known_paths(drawn, settings)
+    model = fitted(drawn, collected.new, drawn.muscles, settings, paths, seed)
+    recipe = replace(NEW, steps=NEW.steps // 10, passes=1) if quick else NEW
+    refined = relearn(
+        network, collected.new, "", "iii", seed=seed, recipe=recipe, progress=progress
+    )
+    return refined.with_wires(model.wires), collected
 
 
 def _samples(

@@ -12,14 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.collect import Array, Recording, collect_old
-from experiments.imperfect import learn_drawn
+from experiments.imperfect import learn_drawn, refine_drawn
 from experiments.progress import bars
-from runtime.settings import load_robot
-from services.body_schema.motions import SLACK_N
+from runtime.settings import RobotSettings, load_robot
+from services.body_schema.motions import SLACK_N, residuals_m
 from services.body_schema.schema import Schema
+from services.logic.wiring import served
 
 HELD_OUT_EVERY = 10
 DURATION_S = 500.0
+REFINE_MOTIONS = 5  # as few as the experiments' least on a body of several joints
 # For bodies of more than one joint: tried on musashi_arm, not searched.
 LARGER_DURATION_S = 1500.0
 LARGER_STEPS, LARGER_BATCH, LARGER_RATE = 60_000, 256, 2e-3
@@ -41,6 +43,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="MM",
         help="learn from the body's file instead of motion, every site that far off",
     )
+    parser.add_argument(
+        "--refine-motions",
+        type=int,
+        default=REFINE_MOTIONS,
+        metavar="N",
+        help=f"of the robot, that refine what a drawing taught (default {REFINE_MOTIONS}; 0: none)",
+    )
     parser.add_argument("--out", type=Path, help="default: the robot file's schema")
     parser.add_argument("--quick", action="store_true", help="a tenth of motion and training")
 
@@ -54,13 +63,7 @@ def run(args: argparse.Namespace) -> int:
         return 2
     start = time.monotonic()
     if args.drawing_off_mm is not None:
-        with bars() as narrate:
-            schema = learn_drawn(
-                settings,
-                args.drawing_off_mm * 1e-3,
-                args.seed,
-                lambda epoch, epochs, *_: narrate("train", epoch, epochs),
-            )
+        schema = _from_drawing(settings, args)
         return _write(schema, out, start)
     usual = DURATION_S if len(settings.joints) == 1 else LARGER_DURATION_S
     seconds = (args.seconds or usual) / (10 if args.quick else 1)
@@ -75,9 +78,44 @@ def run(args: argparse.Namespace) -> int:
             progress=lambda epoch, epochs, *_: narrate("train", epoch, epochs),
         )
     length_mm, angle_rad = held_out(schema, recording)
-    words = ", ".join(f"{n} {v:.2f} mm" for n, v in zip(schema.muscles, length_mm, strict=True))
+    words = _by_muscle(schema, length_mm)
     print(f"held-out samples: length (mask 110) {words}; angle (mask 011) {angle_rad:.4f} rad")
     return _write(schema, out, start)
+
+
+def _from_drawing(settings: RobotSettings, args: argparse.Namespace) -> Schema:
+    error_m, seed, quick = args.drawing_off_mm * 1e-3, args.seed, args.quick
+    with bars() as narrate:
+
+        def drawing(epoch: int, epochs: int, *_: float) -> None:
+            narrate("train", epoch, epochs)
+
+        def refining(epoch: int, epochs: int, *_: float) -> None:
+            narrate("refine", epoch, epochs)
+
+        drawn = learn_drawn(settings, error_m, seed, quick=quick, progress=drawing)
+        if not args.refine_motions:
+            return drawn
+        schema, collected = refine_drawn(
+            settings, drawn, args.refine_motions, seed, quick=quick, progress=refining
+        )
+    before, after, wires = (
+        _by_muscle(schema, (residuals_m(model, collected.check) * 1e3).tolist())
+        for model in (
+            replace(drawn, wires=None),
+            replace(schema, wires=None),
+            served(schema, settings.body_file, settings.joints),
+        )
+    )
+    print(f"held-out motion: length by the drawing {before}")
+    print(f"  refined {after}")
+    print(f"  wires {wires}")
+    print(f"greatest tension while collecting: {collected.peak_tension_n:.0f} N")
+    return schema
+
+
+def _by_muscle(schema: Schema, length_mm: list[float]) -> str:
+    return ", ".join(f"{n} {v:.2f} mm" for n, v in zip(schema.muscles, length_mm, strict=True))
 
 
 def _write(schema: Schema, out: Path, start_s: float) -> int:

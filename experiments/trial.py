@@ -65,8 +65,18 @@ def collect(
     growth = msgspec.structs.replace(settings.growth, n_new=n_new)
     settings = msgspec.structs.replace(settings, growth=growth)
     rig = start(settings, seed, model, arm=arm, grows=True)
-    session = RigSession(rig)
-    session.ask(m.Plug(muscle=settings.spare[0].name))
+    RigSession(rig).ask(m.Plug(muscle=settings.spare[0].name))
+    return _collected(rig, n_new)
+
+
+def collect_again(settings: RobotSettings, seed: int, model: BodyModel, n_new: int) -> Collected:
+    """Let the growth procedure collect motions of the body as it is."""
+    rig = start(settings, seed, model)
+    RigSession(rig).ask(m.Relearn(n_new=n_new))
+    return _collected(rig, n_new)
+
+
+def _collected(rig: Rig, n_new: int) -> Collected:
     body = rig.executive.body
 
     def enough() -> bool:

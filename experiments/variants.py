@@ -72,7 +72,10 @@ VARIANTS = {
 MODEL = "musashi_arm_model.safetensors"
 ARM_VARIANTS = {
     "clean": Variant("h_old from the arm itself; nothing but the assembly error"),
-    "model": Variant("h_old from a geometric model, sites 20 mm off, no friction", schema=MODEL),
+    "model": Variant(
+        "h_old from a geometric model, sites 20 mm off, no friction, refined on five motions",
+        schema=MODEL,
+    ),
     "moved4": Variant("old insertions 4 mm elsewhere since h_old", {"moved_m": 0.004}),
     "stiff": Variant("the new muscle's elastic element twice as stiff", {"spare_stiffness": 2.0}),
     "load": Variant("the load is known 10 % wrong", believed_load=1.1),

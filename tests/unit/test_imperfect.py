@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
-from experiments.imperfect import REST_N, SAMPLES, STRONGEST_N, _samples, drawn_wires
+from experiments.imperfect import (
+    REST_N,
+    SAMPLES,
+    STRONGEST_N,
+    _samples,
+    drawn_wires,
+    refine_drawn,
+)
+from experiments.rig import shipped_schema
 from hardware_sim.wire_drive import elastic_stretch_m
 from runtime.settings import RobotSettings, load_robot
-from services.body_schema.motions import SLACK_N
+from services.body_schema.motions import SLACK_N, residuals_m
+from services.body_schema.schema import Schema
 from services.body_schema.wires import stretch_terms
 from services.logic.skeleton import Skeleton
-from services.logic.wiring import Wiring, nominal_paths
+from services.logic.wiring import Wiring, nominal_paths, served
 
 ROBOTS = [load_robot(name) for name in ("elbow", "musashi_arm")]
 
@@ -63,3 +73,16 @@ def test_samples_are_all_over_the_joints_ranges_and_never_slack() -> None:
     assert (np.ptp(theta, axis=0) > 0.99 * (high - low)).all()
     assert f.min() >= SLACK_N and f.max() <= STRONGEST_N
     assert np.median(f) < 0.35 * STRONGEST_N  # more where elements are soft
+
+
+def test_a_little_motion_refines_what_the_drawing_said() -> None:
+    growth = msgspec.structs.replace(ROBOTS[0].growth, n_check=1)
+    settings = msgspec.structs.replace(ROBOTS[0], growth=growth)
+    drawing = drawn_wires(settings, 0.02, seed=0)
+    shipped = Schema.from_bytes(shipped_schema(settings) or b"")
+    refined, collected = refine_drawn(settings, shipped.with_wires(drawing.wires), 1, quick=True)
+    assert (len(collected.new), len(collected.check)) == (1, 1)
+    assert refined.muscles == collected.muscles == settings.muscles
+    before = residuals_m(drawing, collected.check)
+    after = residuals_m(served(refined, settings.body_file, settings.joints), collected.check)
+    assert (after < 0.1 * before).all() and after.max() < 0.5e-3
