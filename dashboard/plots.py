@@ -157,12 +157,12 @@ class Plots:
             estimated = dict(zip(estimate.joints, pairs, strict=False))
         for joint in self._joints:
             track = self._tracks[f"/angle/{joint}"]
-            if not track.due(state.stamp_ns):
+            if joint not in measured or not track.due(state.stamp_ns):
                 continue
             angle, spread = estimated.get(joint, (math.nan, math.nan))
             row = (
                 self._reference.get(joint, math.nan),
-                measured.get(joint, math.nan),
+                measured[joint],
                 angle,
                 angle + spread,
                 angle - spread,
