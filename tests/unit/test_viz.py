@@ -270,6 +270,17 @@ def test_who_measures_other_joints_leaves_no_gap(canvas: PaperCanvas) -> None:
         assert measured == pytest.approx([math.degrees(0.5)])
 
 
+def test_of_many_muscles_those_in_the_spares_role_are_shown_by_themselves(
+    canvas: PaperCanvas,
+) -> None:
+    settings = load_robot("musashi_w")
+    stream = Stream(settings, canvas)
+    names = ("right_pectoralis", "right_deltoid_front", settings.spare[0].name)
+    feed(stream, [chain_state(SECOND, names, "right_shoulder")], SECOND)
+    assert canvas.names["/role"] == [f"right_deltoid_front{end}" for end in ("", "_2", "_3")]
+    assert last_row(canvas, "/role") == pytest.approx([11.0, math.nan, 12.0], nan_ok=True)
+
+
 def test_every_epoch_is_drawn_and_jobs_do_not_join(
     settings: RobotSettings, canvas: PaperCanvas
 ) -> None:
