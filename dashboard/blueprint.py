@@ -23,9 +23,16 @@ _VIEWS = uuid.UUID("6d796f67-7261-6674-0000-000000000000")  # view ids stay over
 
 
 def layout(
-    ranges_deg: Mapping[str, tuple[float, float] | None], low_m: Floats, high_m: Floats
+    ranges_deg: Mapping[str, tuple[float, float] | None],
+    low_m: Floats,
+    high_m: Floats,
+    role: str = "",
 ) -> rrb.Blueprint:
-    """The whole screen for a robot with these joints whose body fills this box (m)."""
+    """The whole screen for a robot with these joints whose body fills this box (m).
+
+    With `role`, the tensions of that role's muscles come first.
+    """
+    roles = [_plot(f"Tension of {role} (N)", "/role", "/limit/zero")] if role else []
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
@@ -40,6 +47,7 @@ def layout(
                 rrb.Vertical(
                     _angles(ranges_deg),
                     rrb.Tabs(
+                        *roles,
                         _plot("Tension (N)", "/tension", "/limit/tension", "/limit/zero"),
                         _plot("Planned tension (N)", "/planned", "/limit/zero"),
                         name="tension",

@@ -1,7 +1,8 @@
 """The robot's body as it is drawn: links, their primitives, and where the wires run.
 
 Forward kinematics at the measured joint angles, by MuJoCo. Wires run along their nominal paths:
-the MJCF's tendons, and the robot file's spares once they are plugged. Nothing here moves anything.
+the MJCF's tendons, and the robot file's spares once they are plugged. A payload stands where the
+MJCF has it, goes with the hand that says it holds it, and stays where that opens.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from dashboard.canvas import Floats, Shape
 from dashboard.palette import Rgb
 from runtime.coordinates import Coordinates, coordinates_of
 from runtime.messages import MusclePath, Place
-from runtime.settings import RobotSettings
+from runtime.settings import Payload, RobotSettings
 
 _BONE: Rgb = (205, 200, 190)
 _HIDDEN_GROUP = 3  # MuJoCo's viewers show geom groups 0 to 2
@@ -38,6 +39,8 @@ class Body:
         for actuator in list(self._spec.actuators):
             self._spec.delete(actuator)
         self._spares = {spare.name: spare.path for spare in settings.spare}
+        self._payloads = settings.payload
+        self._held: dict[str, tuple[Payload, Floats]] = {}  # by hand; turned so in it, (4,)
         self._compile()
         self.move({})
 
@@ -69,8 +72,32 @@ class Body:
             posture[column] = angle_rad.get(name, posture[column])
         self._coordinates.place(self._data.qpos, posture)
         mujoco.mj_kinematics(self._model, self._data)
+        for payload, turn in self._held.values():
+            self._put(payload, turn)
+        if self._held:
+            mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_tendon(self._model, self._data)
+
+    def hold(self, link: str, thing: str) -> None:
+        """Let a hand carry a payload, turned in it as it now lies; "" opens the hand."""
+        self._held.pop(link, None)
+        for payload in self._payloads:
+            if (payload.link, payload.name) == (link, thing) and self._is_free(thing):
+                inverse, turn = np.empty(4), np.empty(4)
+                mujoco.mju_negQuat(inverse, self._data.body(link).xquat)
+                mujoco.mju_mulQuat(turn, inverse, self._data.body(thing).xquat)
+                self._held[link] = payload, turn
+
+    def _is_free(self, body: str) -> bool:
+        joint = self._model.body(body).jntadr[0]
+        return bool(joint >= 0 and self._model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE)
+
+    def _put(self, payload: Payload, turn: Floats) -> None:
+        first = self._model.jnt_qposadr[self._model.body(payload.name).jntadr[0]]
+        position, quaternion = np.split(self._data.qpos[first : first + 7], [3])
+        hand, place = self._data.body(payload.link), np.array(payload.position_m)
+        mujoco.mju_mulPose(position, quaternion, hand.xpos, hand.xquat, place, turn)
 
     def pose(self, link: str) -> tuple[Floats, Floats]:
         """A link's position in m (3,) and quaternion wxyz (4,) in the world."""

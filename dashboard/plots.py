@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dashboard.canvas import Canvas
-from dashboard.palette import CONFIDENCE, ESTIMATED, LIMIT, MEASURED, REFERENCE, Rgb
+from dashboard.palette import CONFIDENCE, ESTIMATED, LIMIT, MEASURED, REFERENCE, Rgb, slot_color
 from dashboard.tracks import Slots, Track
 from runtime import messages as m
 from runtime.settings import RobotSettings
@@ -23,6 +23,7 @@ STALE_NS = 500_000_000  # who was silent for this long reads NaN
 LIMIT_FROM = 0.5  # of the tension limit: below, its line would only flatten the others
 ODD_ANOMALY = 3.0
 MAX_PROCESSES = 16
+MANY = 8  # muscles; of more, those with which the spare shares its work are shown by themselves
 
 
 class Plots:
@@ -44,6 +45,11 @@ class Plots:
             self._track(path)
         self._track("/temperature", SLOW_NS)
         self._name_muscles()
+        self._alike = settings.alike if len(settings.muscles) > MANY else ()
+        if self._alike:
+            widths = [1.5] * (len(self._alike) - 1) + [3.0]
+            colors = [slot_color(slot) for slot in range(len(self._alike))]
+            self._track("/role", FAST_NS, self._alike, colors, widths)
         for joint in self._joints:
             self._track(
                 f"/angle/{joint}",
@@ -137,6 +143,10 @@ class Plots:
                 error, chain.muscles, (target - length for target, length in pairs), 1e3
             )
         self._tracks["/tension"].add(stamp_ns, tension)
+        if self._alike:
+            felt = {n: f for c in chains for n, f in zip(c.muscles, c.tension_n, strict=False)}
+            row = np.array([felt.get(name, math.nan) for name in self._alike])
+            self._tracks["/role"].add(stamp_ns, row)
         self._tracks["/length_error"].add(stamp_ns, error)
         near = np.nanmax(tension, initial=0.0) > LIMIT_FROM * self._tension_limit_n
         limit = self._tension_limit_n if near else math.nan
@@ -157,12 +167,12 @@ class Plots:
             estimated = dict(zip(estimate.joints, pairs, strict=False))
         for joint in self._joints:
             track = self._tracks[f"/angle/{joint}"]
-            if not track.due(state.stamp_ns):
+            if joint not in measured or not track.due(state.stamp_ns):
                 continue
             angle, spread = estimated.get(joint, (math.nan, math.nan))
             row = (
                 self._reference.get(joint, math.nan),
-                measured.get(joint, math.nan),
+                measured[joint],
                 angle,
                 angle + spread,
                 angle - spread,

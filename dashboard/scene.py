@@ -27,6 +27,9 @@ class Skeleton(Protocol):
     def move(self, angle_rad: dict[str, float]) -> None:
         """Put the named joints at these angles."""
 
+    def hold(self, link: str, thing: str) -> None:
+        """Let a hand carry a payload from now on; "" opens it."""
+
     def pose(self, link: str) -> tuple[Floats, Floats]:
         """A link's position in m and quaternion wxyz."""
 
@@ -54,12 +57,14 @@ class Scene:
             canvas.shapes(link, body.shapes(link))
 
     def receive(self, message: m.Message, now_ns: int) -> None:
-        """Take in joint angles and tensions; the rest is passed over."""
+        """Take in joint angles, tensions and what hands hold; the rest is passed over."""
         match message:
             case m.JointState():
                 self._angle_rad = dict(zip(message.joints, message.angle_rad, strict=False))
             case m.ChainState():
                 self._chains[message.chain] = message
+            case m.HandState():
+                self._body.hold(message.hand, message.holds)
 
     def draw(self, now_ns: int) -> None:
         """Draw links and wires as they are now."""

@@ -27,6 +27,7 @@ class Stream:
         m.JointState,
         m.JointEstimate,
         m.ChainBody,
+        m.HandState,
         m.ExecutiveState,
         m.TrainingProgress,
         m.SchemaVersion,

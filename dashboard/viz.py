@@ -15,6 +15,7 @@ from collections import deque
 
 from dashboard.blueprint import layout
 from dashboard.body import Body
+from dashboard.plots import MANY
 from dashboard.sinks import RerunCanvas, segment_file
 from dashboard.stream import Stream
 from dashboard.viewer import free_port
@@ -33,7 +34,11 @@ def main(launch: Launch) -> None:
     canvas = RerunCanvas(
         settings.name,
         launch.run_dir.name,
-        layout(body.ranges_deg(settings.joints), *body.bounds_m()),
+        layout(
+            body.ranges_deg(settings.joints),
+            *body.bounds_m(),
+            settings.role if len(settings.muscles) > MANY else "",
+        ),
         segment_file(launch.run_dir, settings.name),
         free_port(),
     )

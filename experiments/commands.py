@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # the command is listed without importing what it runs
 PAPER = {  # robot -> figure -> what the paper has
     "elbow": {"e_theta_rad": "0.0214 -> 0.0245", "sigma_f_n": "7.74 -> 3.54"},
     "musashi_arm": {"e_theta_rad": "0.526 -> 0.329"},
-    "musashi_w": {"peak_tension_n": "215 -> 118"},
+    "musashi_w": {"role_peak_n": "215 -> 118"},
 }
 
 
@@ -95,7 +95,7 @@ def _demo(args: argparse.Namespace) -> int:
     start = time.monotonic()
     with ExitStack() as stack:
         session = stack.enter_context(
-            live_session(settings, speed=args.speed, seed=args.seed, run_dir=run_dir)
+            live_session(settings, speed=args.speed, seed=args.seed, run_dir=run_dir, say=print)
         )
         print(
             f"'{settings.name}' is up after {time.monotonic() - start:.1f} s: "
@@ -148,6 +148,7 @@ def _rows(settings: RobotSettings, result: Result) -> list[tuple[str, ...]]:
         row("E_theta", "rad", "e_theta_rad", 4),
         row("sigma_f", "N", "sigma_f_n", 2),
         row("peak tension", "N", "peak_tension_n", 1),
+        row("peak in role", "N", "role_peak_n", 1),
     ]
 
 

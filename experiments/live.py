@@ -14,9 +14,12 @@ from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings
 from runtime.supervisor import Group
 
-PATIENCE_S = 20.0  # wall time on top of what a wait is allowed, for machines that are too slow
-SLOWEST = 0.3  # real-time factor below which the demo gives up
+PATIENCE_S = 20.0  # of wall time, in which robot time has to go on
+PACE_S = 0.02  # of wall time between two looks: arrivals by the thousand wake nobody
+SLOW = 0.8  # of the speed asked for: a machine that stays below for `SLOW_S` is told of
+SLOW_S = 5.0
 WATCHED = (
+    m.Clock,
     m.ChainState,
     m.JointState,
     m.ExecutiveState,
@@ -29,13 +32,22 @@ WATCHED = (
 
 
 class LiveSession:
-    """Talks to a running group through the bus."""
+    """Talks to a running group through the bus.
 
-    def __init__(self, settings: RobotSettings, bus: Bus, speed: float) -> None:
+    Attributes:
+        now_ns: robot time as the world last told it.
+    """
+
+    def __init__(
+        self, settings: RobotSettings, bus: Bus, speed: float, say: Callable[[str], None]
+    ) -> None:
         self.settings = settings
         self.watchers: list[Callable[[Message], None]] = []
+        self.now_ns = 0
         self._bus = bus
         self._speed = speed
+        self._say = say
+        self._in_time_s: float | None = time.monotonic()  # None: it has been said
 
     def ask(self, request: Message) -> Reply:
         """As `Session.ask`."""
@@ -47,20 +59,42 @@ class LiveSession:
         return replies[0]
 
     def wait(self, done: Callable[[Message], bool], limit_s: float, what: str) -> Message:
-        """As `Session.wait`."""
-        deadline = time.monotonic() + limit_s / (self._speed * SLOWEST) + PATIENCE_S
+        """As `Session.wait`, however slow the machine is, as long as robot time goes on."""
+        limit_ns = self.now_ns + round(limit_s * 1e9)
+        reached_ns, reached_s = self.now_ns, time.monotonic()
         found: Message | None = None
-        while (left := deadline - time.monotonic()) > 0:
-            for item in self._bus.wait(min(left, 1.0)):
+        while found is None:
+            time.sleep(PACE_S)
+            for item in self._bus.wait(0.0):
                 if isinstance(item, Question):
                     continue
+                if isinstance(item, m.Clock):
+                    self._hear(item)
                 for watcher in list(self.watchers):
                     watcher(item)
                 if found is None and done(item):
                     found = item
-            if found is not None:
-                return found
-        raise SessionError(f"{what} did not come about within {limit_s:.0f} s of robot time")
+            if self.now_ns > reached_ns:
+                reached_ns, reached_s = self.now_ns, time.monotonic()
+            elif time.monotonic() - reached_s > PATIENCE_S and found is None:
+                raise SessionError(f"{what} did not come about: robot time stands still")
+            if self.now_ns > limit_ns and found is None:
+                raise SessionError(f"{what} did not come about within {limit_s:.0f} s")
+        return found
+
+    def _hear(self, clock: m.Clock) -> None:
+        self.now_ns = clock.stamp_ns
+        now_s = time.monotonic()
+        if self._in_time_s is None:
+            return
+        if clock.real_time_factor >= SLOW * self._speed:
+            self._in_time_s = now_s
+        elif now_s - self._in_time_s > SLOW_S:
+            self._in_time_s = None
+            self._say(
+                f"this machine is too busy or too slow: robot time, and all else with it, goes at "
+                f"{clock.real_time_factor:.2f} of wall time instead of {self._speed:g}"
+            )
 
 
 @contextmanager
@@ -70,17 +104,17 @@ def live_session(
     speed: float,
     seed: int,
     run_dir: Path,
-    say: Callable[[str], None] = lambda line: None,
+    say: Callable[[str], None],
 ) -> Iterator[LiveSession]:
     """Start a new robot's whole group, talk to it, and stop it.
+
+    `say` takes a line meant for a person.
 
     Raises:
         SessionError: the group did not become ready.
         HubError: a robot of that name is running.
     """
-    group = Group(
-        settings, speed=speed, seed=seed, run_dir=run_dir, state_dir=run_dir / "state", say=say
-    )
+    group = Group(settings, speed=speed, seed=seed, run_dir=run_dir, state_dir=run_dir / "state")
     try:
         group.start()
         with Bus(settings.name, "demo", endpoint=group.endpoint) as bus:
@@ -88,6 +122,6 @@ def live_session(
             if not group.wait_ready(60.0):
                 late = ", ".join(row.process for row in group.rows if row.state != "ready")
                 raise SessionError(f"{late} did not become ready; logs are in {run_dir / 'logs'}")
-            yield LiveSession(settings, bus, speed)
+            yield LiveSession(settings, bus, speed, say)
     finally:
         group.stop(park=False)

@@ -23,11 +23,13 @@ class Score:
             muscles in the spare's role, the flexors of an elbow; one that is not plugged in
             counts as 0 N.
         peak_tension_n: greatest tension of any muscle during the sweep.
+        role_peak_n: of any muscle in the spare's role.
     """
 
     e_theta_rad: float
     sigma_f_n: float
     peak_tension_n: float
+    role_peak_n: float
 
 
 @dataclass(frozen=True)
@@ -36,13 +38,6 @@ class Settled:
 
     error_rad: float  # ||theta_ref - theta||
     tension_n: dict[str, float]  # mean, by muscle
-
-
-def alike(settings: RobotSettings) -> list[str]:
-    """The muscles in the same role as the first spare, itself last."""
-    role = settings.spare[0].role if settings.spare else ""
-    names = [x.name for x in settings.muscle if x.role == role]
-    return names + [x.name for x in settings.spare if x.role == role]
 
 
 class SweepScorer:
@@ -57,7 +52,7 @@ class SweepScorer:
         self._targets = np.radians(
             next(row.targets_deg for row in settings.task if row.name == task)
         )
-        self._alike = alike(settings)
+        self._alike = settings.alike
         self._states: list[ExecutiveState] = []
         self._truths: list[WorldTruth] = []
 
@@ -104,10 +99,12 @@ class SweepScorer:
         spreads = [
             np.std([target.tension_n.get(name, 0.0) for name in self._alike]) for target in targets
         ]
+        felt = [dict(zip(t.muscles, t.tension_n, strict=True)) for _, t in self._during_task()]
         return Score(
             e_theta_rad=float(np.mean([target.error_rad for target in targets])),
             sigma_f_n=float(np.mean(spreads)),
-            peak_tension_n=max(max(truth.tension_n) for _, truth in self._during_task()),
+            peak_tension_n=max(max(row.values()) for row in felt),
+            role_peak_n=max(row.get(name, 0.0) for row in felt for name in self._alike),
         )
 
     def _during_task(self) -> Iterator[tuple[ExecutiveState, WorldTruth]]:

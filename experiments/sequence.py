@@ -10,15 +10,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from experiments.score import Score, SweepScorer, alike
+from dashboard.plots import MANY
+from experiments.score import Score, SweepScorer
 from experiments.session import Session, SessionError
 from runtime import messages as m
 from runtime.messages import Message
 from runtime.settings import RobotSettings
 
 HOLD_AT = 0.2  # of the task's targets: where the arm holds while the muscle is plugged in
-MANY = 8  # muscles; of more, a picture shows those alone with which the spare shares its work
-GROWTH_LIMIT_S = 240.0
+GROWTH_LIMIT_S = 900.0
 TASK_LIMIT_S = 300.0
 TRACE_NS = 50_000_000
 STAGES = ("collect", "relearn", "adopt", "resume")
@@ -86,7 +86,7 @@ class Trace:
         """Muscle -> tension over time; NaN while it is not there."""
         names = dict.fromkeys(name for row in self.tension_n for name in row)
         if len(names) > MANY:
-            names = dict.fromkeys(name for name in alike(self.settings) if name in names)
+            names = dict.fromkeys(name for name in self.settings.alike if name in names)
         return {n: [row.get(n, float("nan")) for row in self.tension_n] for n in names}
 
 

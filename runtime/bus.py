@@ -167,17 +167,21 @@ class Bus:
 
     # ── in ─────────────────────────────────────────────────────────────────────────────────────
 
-    def subscribe(self, *kinds: type[Message], every: bool = False) -> None:
+    def subscribe(
+        self, *kinds: type[Message], every: bool = False, chain: str = "*", wake: bool = True
+    ) -> None:
         """Take in messages of these types; `Presence` tells of processes coming and going.
 
         Args:
             every: keep each sample in order, whatever its topic says: for a recorder.
+            chain: of topics that are a chain's, this one's only.
+            wake: whether an arrival ends a `wait`; else it is there when something else does.
         """
         for kind in kinds:
             if kind is Presence:
                 self._watch_presence()
             else:
-                self._subscribe(BY_TYPE[kind], every)
+                self._subscribe(BY_TYPE[kind], every, chain, wake)
 
     def serve(self, *kinds: type[Message]) -> None:
         """Answer requests of these types: they come out of `wait` as `Question`s."""
@@ -210,19 +214,19 @@ class Bus:
 
     # ── inside ─────────────────────────────────────────────────────────────────────────────────
 
-    def _subscribe(self, topic: Topic, every: bool) -> None:
+    def _subscribe(self, topic: Topic, every: bool, chain: str, wake: bool) -> None:
         kind, keep = topic.message, topic.keep
         newest_only = keep in (Keep.LATEST, Keep.RETAINED) and not every
         depth = 1 if newest_only else QUEUE_DEPTH
         # Robot time is looked at when it is needed: a hundred ticks a second wake nobody.
-        wake = kind is not Clock or every
+        wake = wake and (kind is not Clock or every)
 
         def arrived(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.PUT:
                 arrival = _Arrival(kind, sample)
                 self._box.post(str(sample.key_expr), arrival, depth=depth, wake=wake)
 
-        pattern = key_pattern(self.robot, kind)
+        pattern = key_pattern(self.robot, kind, chain)
         if keep in (Keep.RETAINED, Keep.HISTORY):
             self._declared.append(
                 zext.declare_advanced_subscriber(

@@ -50,10 +50,13 @@ class Member:
         self._pulse = _Pulse(bus)
         bus.subscribe(Presence)
 
-    def subscribe(self, *kinds: type[Message], every: bool = False) -> None:
+    def subscribe(
+        self, *kinds: type[Message], every: bool = False, chain: str = "*", wake: bool = True
+    ) -> None:
         """Take in messages of these types (see `Bus.subscribe`)."""
         self._wanted.update(kinds)
-        self.bus.subscribe(*(kind for kind in kinds if kind is not Presence), every=every)
+        told = (kind for kind in kinds if kind is not Presence)
+        self.bus.subscribe(*told, every=every, chain=chain, wake=wake)
 
     def serve(self, *kinds: type[Message]) -> None:
         """Answer requests of these types: they come out of `wait` as `Question`s."""

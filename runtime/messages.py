@@ -136,8 +136,9 @@ class ChainState(Message, frozen=True, kw_only=True):
 
 
 class JointState(Message, frozen=True, kw_only=True):
-    """Joint angles as the joint modules measured them."""
+    """Joint angles as they were measured: by joint modules, or by whoever else sees them."""
 
+    source: str  # the chain, for joint modules
     joints: tuple[str, ...]
     angle_rad: tuple[float, ...]
 

@@ -25,6 +25,7 @@ from runtime.logic import Logic, Store
 from runtime.loop import drive
 from runtime.manifest import simulated
 from runtime.member import Member
+from runtime.messages import Message
 from runtime.settings import RobotSettings, load_robot
 from runtime.store import FileStore
 
@@ -80,14 +81,20 @@ class Launch:
                 signal.signal(number, lambda *_: member.stop())
             yield member
 
-    def run(self, logic: Logic) -> None:
+    def run(self, logic: Logic, unhurried: tuple[type[Message], ...] = ()) -> None:
         """Drive a logic until the process is told to stop.
+
+        Of its inputs it hears only its own chain's, if it is one's; those that are `unhurried` wait
+        for its next tick.
 
         An exception in `receive` or `answer` costs that message; one in `tick` is logged, told as
         an event, and ends the process with exit code 1, to be restarted.
         """
         with self.open_bus() as member:
-            member.subscribe(*logic.inputs)
+            chain = self.instance or "*"
+            hurried = (kind for kind in logic.inputs if kind not in unhurried)
+            member.subscribe(*hurried, chain=chain)
+            member.subscribe(*unhurried, chain=chain, wake=False)
             member.serve(*logic.requests)
             member.ready()
             drive(logic, member)

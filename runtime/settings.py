@@ -185,6 +185,16 @@ class RobotSettings(_Table, frozen=True, kw_only=True):
         """Names of the muscles that are there from the start, in the file's order."""
         return tuple(muscle.name for muscle in self.muscle)
 
+    @property
+    def role(self) -> str:
+        """What the first spare is plugged in for; "" without one."""
+        return self.spare[0].role if self.spare else ""
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """The muscles in the same role as the first spare, itself last."""
+        return tuple(x.name for x in (*self.muscle, *self.spare) if x.role == self.role)
+
 
 ROBOTS = Path(__file__).parent.parent / "deploy" / "robots"
 

@@ -43,7 +43,7 @@ TOPICS = (
     Topic(m.ChainCommand, "chain/{chain}/command", 100),
     Topic(m.HandCommand, "hand/{hand}/command", 0, Keep.RETAINED),
     Topic(m.HandState, "hand/{hand}/state", 0, Keep.RETAINED),
-    Topic(m.JointState, "joint/state", 200),
+    Topic(m.JointState, "joint/{source}/state", 200),
     Topic(m.JointEstimate, "joint/estimate", 100),
     Topic(m.SchemaVersion, "schema", 0, Keep.RETAINED),
     Topic(m.SchemaCandidate, "schema/candidate", 0, Keep.RETAINED),
@@ -81,14 +81,18 @@ def key_of(robot: str, message: m.Message) -> str:
     return f"{robot}/{BY_TYPE[type(message)].key}".format_map(_Fields(message))
 
 
-def key_pattern(robot: str, kind: type[m.Message]) -> str:
-    """The key expression that matches every message of one type: `elbow/chain/*/state`."""
+def key_pattern(robot: str, kind: type[m.Message], chain: str = "*") -> str:
+    """The key expression that matches every message of one type: `elbow/chain/*/state`.
+
+    `chain` narrows it to what concerns one chain, where a key tells.
+    """
     row = BY_TYPE.get(kind) or REQUEST_BY_TYPE[kind]
-    return f"{robot}/{_wild(row.key)}"
+    return f"{robot}/{row.key.format_map(_Wild(chain=chain))}"
 
 
-def _wild(key: str) -> str:
-    return "/".join("*" if part.startswith("{") else part for part in key.split("/"))
+class _Wild(dict[str, str]):
+    def __missing__(self, name: str) -> str:
+        return "*"
 
 
 class _Fields(dict[str, str]):

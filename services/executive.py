@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from runtime.messages import ChainState, JointState
 from runtime.process import Launch
 from services.logic.arm import Arm
 from services.logic.executive import Executive
@@ -14,4 +15,5 @@ def main(launch: Launch) -> None:
     skeleton = Skeleton(settings.body_file, settings.joints)
     executive = Executive(settings, Arm(settings, skeleton), launch.store, launch.seed)
     executive.resume()
-    launch.run(executive)
+    # It acts on its own beat: seven hundred wake-ups a second on four chains would be for nothing.
+    launch.run(executive, unhurried=(ChainState, JointState))

@@ -152,7 +152,10 @@ def _signals(
             mode="follow",
         ),
     )
-    yield now_ns, m.JointState(stamp_ns=now_ns, joints=("elbow",), angle_rad=(measured,))
+    yield (
+        now_ns,
+        m.JointState(stamp_ns=now_ns, source="arm", joints=("elbow",), angle_rad=(measured,)),
+    )
     yield (
         now_ns,
         m.JointEstimate(

@@ -31,7 +31,7 @@ class Topic:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
         parser.add_argument("action", choices=("list", "echo", "hz"))
-        parser.add_argument("topic", nargs="?", default="", help="ChainState, joint/state, ...")
+        parser.add_argument("topic", nargs="?", default="", help="ChainState, joint/estimate, ...")
         parser.add_argument("--count", type=int, default=0, help="echo: stop after so many")
         parser.add_argument("--seconds", type=float, default=2.0, help="hz: measure so long")
         add_robot_argument(parser)

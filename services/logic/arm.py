@@ -25,6 +25,7 @@ from runtime.messages import (
 from runtime.settings import RobotSettings
 from services.body_schema.control import Plan, plan
 from services.body_schema.model import BodyModel
+from services.body_schema.motions import SLACK_N
 from services.body_schema.schema import Schema
 from services.logic.guests import Guests
 from services.logic.motion import Path, min_jerk
@@ -39,6 +40,7 @@ LEASE_NS = 200_000_000
 FADE_S = 0.8
 FELT_S = 0.1  # time constant of what the model is found to be off by
 CORRECT_S = 0.5  # in which that comes into effect, or goes
+WIND_IN_M_S = 0.03  # a wire that hangs slack meanwhile
 
 
 class Arm:
@@ -206,7 +208,8 @@ class Arm:
         """What the model's lengths are off by where the arm is now.
 
         A schema that is wrong by millimetres makes tension: 20 N for each, at 20 N/mm. While
-        motions are collected, joints are measured, and targets follow what is found here.
+        motions are collected, joints are measured, and targets follow what is found here. The
+        length of a slack wire says nothing, and to follow it would pay out more: it is wound in.
         """
         step = dt_s / CORRECT_S if self.corrected else -dt_s / CORRECT_S
         self._correction = min(max(self._correction + step, 0.0), 1.0)
@@ -220,9 +223,14 @@ class Arm:
         tension = np.array([max(felt[name][1], 0.0) for name in names])
         model = self.schema.lengths(self.angle_rad, tension)
         share = min(dt_s / FELT_S, 1.0)
+        slack_n = max(SLACK_N, 0.5 * self.settings.control.tension_floor_n)
         for name, length in zip(names, model.tolist(), strict=True):
             off = felt[name][0] - length
-            self._off_m[name] = self._off_m.get(name, off) * (1.0 - share) + off * share
+            last = self._off_m.get(name, off)
+            if felt[name][1] < slack_n:
+                self._off_m[name] = last - WIND_IN_M_S * dt_s
+            else:
+                self._off_m[name] = last + (off - last) * share
 
     def _aim(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
         """Targets for all muscles: the plan, the fading offset, and never faster than the motor."""

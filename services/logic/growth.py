@@ -34,7 +34,7 @@ SETTLE_S = 0.45  # at the end of each motion
 SETTLED_TAIL_S = 0.2  # of which the last part counts as settled
 SAMPLE_EVERY = 2  # ticks
 JOIN_LIMIT_S = 40.0  # the driver winds slack in for up to 30 s
-TRAIN_LIMIT_S = 180.0
+TRAIN_LIMIT_S = 120.0  # without a word of the retrainer: on a busy machine it takes its time
 REPEAT_S = 1.0  # of the job, until the retrainer is heard
 FLOOR_SPREAD_N = 12.0  # co-contraction that motions add at random
 RANGE_MARGIN = 0.03  # of the joints' ranges that motions leave out at either end
@@ -88,6 +88,7 @@ class Growth:
         self._waited_s = 0.0
         self._since_ask_s = REPEAT_S
         self._heard = False
+        self._unheard_s = 0.0
         self._returning = False
         self._candidate: SchemaCandidate | None = None
         self._bias = GUEST_BIAS_N
@@ -109,6 +110,7 @@ class Growth:
                 self._enter("resume")
         elif isinstance(message, TrainingProgress) and message.job == record.job:
             self._heard = True
+            self._unheard_s = 0.0
             if message.stage == "failed":
                 self.over = f"relearning failed: {message.text}"
 
@@ -186,6 +188,7 @@ class Growth:
         """Ask for the relearning; meanwhile move for the check, on motions never trained on."""
         record = self.record
         self._since_ask_s += dt_s
+        self._unheard_s += dt_s
         if not record.job:
             record.job = f"{record.kind}-{record.muscle}-{now_ns // 1_000_000}"
             self.dirty = True
@@ -196,8 +199,8 @@ class Growth:
             self._collect(self.steps, "relearn")
         elif self._candidate is not None:
             yield from self._check(now_ns, self._candidate)
-        elif self._waited_s > TRAIN_LIMIT_S:
-            self.over = f"no relearned schema within {TRAIN_LIMIT_S:.0f} s"
+        elif self._unheard_s > TRAIN_LIMIT_S:
+            self.over = f"no word of a relearned schema for {TRAIN_LIMIT_S:.0f} s"
 
     def _job(self, now_ns: int) -> TrainingJob:
         record = self.record

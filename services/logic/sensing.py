@@ -110,6 +110,7 @@ def states(roster: Roster, mode: str, stamp_ns: int) -> Iterator[m.Message]:
         joints = [module for module in shown if module.kind is Kind.JOINT]
         yield m.JointState(
             stamp_ns=stamp_ns,
+            source=roster.chain,
             joints=tuple([x.name for x in joints]),
             angle_rad=tuple([x.reading for x in joints]),
         )

@@ -109,6 +109,11 @@ def test_key_of_a_message_matches_its_pattern() -> None:
     assert topics.key_pattern("elbow", messages.Plug) == "elbow/request/plug"
 
 
+def test_a_pattern_can_be_one_chains_own() -> None:
+    assert topics.key_pattern("elbow", messages.ChainCommand, "arm") == "elbow/chain/arm/command"
+    assert topics.key_pattern("elbow", messages.Event, "arm") == "elbow/event"
+
+
 def test_numbers_of_the_table_make_sense() -> None:
     assert all(row.rate_hz >= 0 for row in TOPICS)
     assert all(row.timeout_s > 0 for row in REQUESTS)

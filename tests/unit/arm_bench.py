@@ -69,7 +69,9 @@ class Bench:
                 mode=self.mode,
             )
         )
-        joint = JointState(stamp_ns=self.now_ns, joints=("elbow",), angle_rad=(self.angle_rad,))
+        joint = JointState(
+            stamp_ns=self.now_ns, source="arm", joints=("elbow",), angle_rad=(self.angle_rad,)
+        )
         self.arm.receive(joint)
 
     def step(self) -> ChainCommand:

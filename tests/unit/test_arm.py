@@ -13,6 +13,7 @@ from services.logic.arm import (
     FELT_S,
     LEASE_NS,
     STALE_NS,
+    WIND_IN_M_S,
     Arm,
     MotionRecorder,
 )
@@ -40,7 +41,9 @@ def test_what_is_missing_is_said_in_words() -> None:
     assert arm.silent(bench.now_ns) == "chain 'arm' has not said who is plugged in"
     arm.receive(body)
     assert arm.silent(bench.now_ns) == "joint 'elbow' is silent"
-    arm.receive(JointState(stamp_ns=bench.now_ns, joints=("elbow",), angle_rad=(0.5,)))
+    arm.receive(
+        JointState(stamp_ns=bench.now_ns, source="arm", joints=("elbow",), angle_rad=(0.5,))
+    )
     assert arm.silent(bench.now_ns) == ""
     assert arm.silent(bench.now_ns + STALE_NS) == ""
     assert arm.silent(bench.now_ns + STALE_NS + 1) == "chain 'arm' is silent"
@@ -323,6 +326,18 @@ def test_targets_follow_what_the_model_is_off_by() -> None:
     for name, shift in OFF.items():
         assert 0.2 < soon[name] / -shift < 0.4  # of 2: 1 - 1 / e is gone by then
     assert from_plan(bench, bench.run(10 * FELT_S)) == pytest.approx(wrong, abs=1e-6)
+
+
+def test_a_slack_wire_is_wound_in_and_not_followed() -> None:
+    bench = corrected(OFF)
+    before = from_plan(bench, bench.run(CORRECT_S + 0.1))
+    bench.tension_n["biceps_2"] = 0.0
+    bench.shift_m = OFF | {"biceps_2": 0.05}  # hangs
+    after = from_plan(bench, bench.run(0.5))
+    wound_m = {name: before[name] - after[name] for name in OFF}
+    assert wound_m == pytest.approx(
+        {"triceps": 0.0, "biceps_1": 0.0, "biceps_2": 0.5 * WIND_IN_M_S}, abs=1e-6
+    )
 
 
 def test_without_correction_targets_are_the_plans() -> None:

@@ -77,6 +77,7 @@ def test_figures_by_hand() -> None:
     assert spread == pytest.approx([8.602325, 12.961481])
     assert score.sigma_f_n == pytest.approx(np.mean(spread))
     assert score.peak_tension_n == 99.0
+    assert score.role_peak_n == 30.0
 
 
 def test_a_spare_that_is_plugged_in_counts_with_its_tension() -> None:

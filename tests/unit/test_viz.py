@@ -11,9 +11,11 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
+from dashboard.body import Body
 from dashboard.canvas import Floats, Shape, Wire
 from dashboard.commands import find_sources
 from dashboard.palette import Rgb, slot_color, tension_color
@@ -97,6 +99,9 @@ class StickBody:
 
     def move(self, angle_rad: dict[str, float]) -> None:
         self.angle_rad = angle_rad
+
+    def hold(self, link: str, thing: str) -> None:
+        pass
 
     def pose(self, link: str) -> tuple[Floats, Floats]:
         return np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
@@ -241,14 +246,39 @@ def test_angles_are_in_degrees_and_an_old_estimate_is_not_shown(
         anomaly=(1.0, 4.0, 1.0),
     )
     wanted = m.ExecutiveState(stage="hold", joints=("elbow",), reference_rad=(math.pi / 2,))
-    joint = m.JointState(stamp_ns=100 * MS, joints=("elbow",), angle_rad=(math.pi / 4,))
+    joint = m.JointState(
+        stamp_ns=100 * MS, source="arm", joints=("elbow",), angle_rad=(math.pi / 4,)
+    )
     feed(stream, [wanted, estimate, joint], 100 * MS)
     assert last_row(canvas, "/angle/elbow") == pytest.approx([90.0, 45.0, 60.0, 61.0, 59.0])
     assert last_row(canvas, "/anomaly")[1] == 4.0
-    later = m.JointState(stamp_ns=900 * MS, joints=("elbow",), angle_rad=(0.0,))
+    later = m.JointState(stamp_ns=900 * MS, source="arm", joints=("elbow",), angle_rad=(0.0,))
     feed(stream, [later], 900 * MS)
     assert last_row(canvas, "/angle/elbow")[1] == 0.0
     assert math.isnan(last_row(canvas, "/angle/elbow")[2])
+
+
+def test_who_measures_other_joints_leaves_no_gap(canvas: PaperCanvas) -> None:
+    stream = Stream(load_robot("musashi_arm"), canvas)
+    states = [
+        m.JointState(stamp_ns=SECOND, source=source, joints=(joint,), angle_rad=(0.5,))
+        for source, joint in (("shoulder", "shoulder_pitch"), ("elbow", "elbow"))
+    ]
+    feed(stream, states, SECOND)
+    for joint in ("shoulder_pitch", "elbow"):
+        measured = [row[1] for _, row in canvas.rows[f"/angle/{joint}"]]
+        assert measured == pytest.approx([math.degrees(0.5)])
+
+
+def test_of_many_muscles_those_in_the_spares_role_are_shown_by_themselves(
+    canvas: PaperCanvas,
+) -> None:
+    settings = load_robot("musashi_w")
+    stream = Stream(settings, canvas)
+    names = ("right_pectoralis", "right_deltoid_front", settings.spare[0].name)
+    feed(stream, [chain_state(SECOND, names, "right_shoulder")], SECOND)
+    assert canvas.names["/role"] == [f"right_deltoid_front{end}" for end in ("", "_2", "_3")]
+    assert last_row(canvas, "/role") == pytest.approx([11.0, math.nan, 12.0], nan_ok=True)
 
 
 def test_every_epoch_is_drawn_and_jobs_do_not_join(
@@ -321,7 +351,7 @@ def test_body_follows_the_measured_angle_and_marks_the_added_muscle(
 ) -> None:
     body = StickBody()
     stream = Stream(settings, canvas, body)
-    joint = m.JointState(stamp_ns=SECOND, joints=("elbow",), angle_rad=(0.7,))
+    joint = m.JointState(stamp_ns=SECOND, source="arm", joints=("elbow",), angle_rad=(0.7,))
     feed(stream, [joint, chain_state(SECOND, (*FIRST, ADDED, "nowhere"))], SECOND)
     assert set(canvas.links) == {"world", "stick"}
     assert body.angle_rad == {"elbow": 0.7}
@@ -345,6 +375,43 @@ def test_frames_stay_below_their_rate_and_gone_muscles_lose_their_wire(
     assert 95 <= len(canvas.rows["/tension"]) <= 101
     feed(stream, [], 3 * SECOND)
     assert canvas.frames[-1][1] == []
+
+
+def test_a_payload_goes_with_the_hand_that_holds_it(canvas: PaperCanvas) -> None:
+    settings = load_robot("musashi_w")
+    payload = settings.payload[0]
+    body = Body(settings)
+    stream = Stream(settings, canvas, body)
+    postures = np.radians(settings.task[0].targets_deg)[[1, 2, 4]]
+    stood_m = body.pose(payload.name)[0]
+
+    def at(seconds: int, posture: Floats, *said: m.Message) -> tuple[Floats, Floats, Floats]:
+        now_ns = seconds * SECOND
+        angle_rad = tuple(posture.tolist())
+        joints = m.JointState(
+            stamp_ns=now_ns, source="arm", joints=settings.joints, angle_rad=angle_rad
+        )
+        feed(stream, [joints, *said], now_ns)
+        hand_m, hand_turn = body.pose(payload.link)
+        in_hand_m = np.empty(3)
+        mujoco.mju_rotVecQuat(in_hand_m, np.array(payload.position_m), hand_turn)
+        return *body.pose(payload.name), hand_m + in_hand_m
+
+    def hand(holds: str) -> m.HandState:
+        return m.HandState(hand=payload.link, asked=holds, holds=holds)
+
+    place_m, _, _ = at(1, postures[0])
+    assert place_m == pytest.approx(stood_m), "nobody holds it"
+    place_m, turn, in_hand_m = at(2, postures[0], hand(payload.name))
+    assert place_m == pytest.approx(in_hand_m)
+    assert np.linalg.norm(place_m - stood_m) < 0.02, "it is taken where it stood"
+    assert turn == pytest.approx([1.0, 0.0, 0.0, 0.0]), "and as it stood"
+    place_m, turn, in_hand_m = at(3, postures[1])
+    assert place_m == pytest.approx(in_hand_m)
+    assert place_m[2] > stood_m[2] + 0.2
+    left_m, _, in_hand_m = at(4, postures[2], hand(""))
+    assert left_m == pytest.approx(place_m), "it stays where the hand opened"
+    assert left_m != pytest.approx(in_hand_m)
 
 
 # ── what must not happen ────────────────────────────────────────────────────────────────────────
