@@ -1,21 +1,27 @@
 """Write docs/science.md's tables and pictures from docs/results/*.json: `python -m docs.results`.
 
-Each JSON is what `python -m experiments NAME --json FILE` wrote: every single run.
+Each JSON is what `python -m experiments NAME --json FILE` wrote: every single run. What `ablate`
+found is told, not drawn.
 """
 
 from __future__ import annotations
 
-import importlib
 import json
 from pathlib import Path
 from typing import Any
 
+from experiments import arm, elbow, lift
+from experiments.ablate import ABLATIONS
 from experiments.plots import draw_over_n
 from experiments.tables import markdown_table, ordering_lines
 
 HERE = Path(__file__).parent
 PAGE = HERE / "science.md"
-EXPERIMENTS = ("elbow", "arm", "lift")
+EXPERIMENTS = {"elbow": elbow, "arm": arm, "lift": lift}
+MEASURES = {
+    **{name: module.MEASURES for name, module in EXPERIMENTS.items()},
+    **{f"ablate-{name}": ablation.measures for name, ablation in ABLATIONS.items()},
+}
 
 
 def results(name: str) -> Path:
@@ -25,8 +31,9 @@ def results(name: str) -> Path:
 
 def render(name: str) -> str:
     """Tables of all measures, and which method is lower for each N_new."""
-    runs, measures = _runs(name), importlib.import_module(f"experiments.{name}").MEASURES
-    told = [measure for measure in measures if any(measure.figure in r["figures"] for r in runs)]
+    runs = _runs(name)
+    there = {figure for run in runs for figure in run["figures"]}
+    told = [measure for measure in MEASURES[name] if measure.figure in there]
     tables = [markdown_table(measure, runs) for measure in told]
     claimed = [measure for measure in told if measure.claims]
     orders = [
@@ -40,7 +47,7 @@ def render(name: str) -> str:
 
 def with_results(page: str) -> str:
     """The page with all results between their markers."""
-    for name in EXPERIMENTS:
+    for name in MEASURES:
         begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
         if begin in page and results(name).exists():
             before, _, rest = page.partition(begin)
@@ -50,7 +57,7 @@ def with_results(page: str) -> str:
 
 def draw(name: str) -> list[Path]:
     """One picture for each control, once there are two numbers of motions for a line."""
-    module = importlib.import_module(f"experiments.{name}")
+    module = EXPERIMENTS[name]
     runs, files = _runs(name), []
     if len({run["n_new"] for run in runs} - {0}) < 2:
         return files
