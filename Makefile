@@ -47,10 +47,12 @@ pictures: setup  ## the documents' pictures and tables, made anew
 	$(BIN)/python -m docs.topic_table
 	$(BIN)/python -m docs.results
 
-experiments: setup  ## repeat the paper's three experiments; hours, and it goes on where it stopped
+experiments: setup  ## repeat the experiments; hours, and it goes on where it stopped
 	$(BIN)/python -m experiments elbow --json docs/results/elbow.json
 	$(BIN)/python -m experiments arm --json docs/results/arm.json
 	$(BIN)/python -m experiments lift --json docs/results/lift.json
+	$(BIN)/python -m experiments ablate elbow --seeds 5 --json docs/results/ablate-elbow.json
+	$(BIN)/python -m experiments ablate arm --seeds 5 --variants model --json docs/results/ablate-arm.json
 
 clean:  ## remove what was built, keep .venv
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -1,16 +1,18 @@
 """Write docs/science.md's tables and pictures from docs/results/*.json: `python -m docs.results`.
 
 Each JSON is what `python -m experiments NAME --json FILE` wrote: every single run. What belongs to
-one experiment may lie in several: `elbow.json`, `elbow-variants.json`.
+one experiment may lie in several: `elbow.json`, `elbow-variants.json`. What `ablate` found is told,
+not drawn.
 """
 
 from __future__ import annotations
 
-import importlib
 import json
 from pathlib import Path
 from typing import Any
 
+from experiments import arm, elbow, lift
+from experiments.ablate import ABLATIONS
 from experiments.against import against_table
 from experiments.comparison import LEARNING
 from experiments.plots import draw_over_n
@@ -19,7 +21,11 @@ from experiments.tables import markdown_table, ordering_lines
 
 HERE = Path(__file__).parent
 PAGE = HERE / "science.md"
-EXPERIMENTS = ("elbow", "arm", "lift")
+EXPERIMENTS = {"elbow": elbow, "arm": arm, "lift": lift}
+MEASURES = {
+    **{name: module.MEASURES for name, module in EXPERIMENTS.items()},
+    **{f"ablate-{name}": ablation.measures for name, ablation in ABLATIONS.items()},
+}
 
 
 def results(name: str) -> list[Path]:
@@ -30,12 +36,11 @@ def results(name: str) -> list[Path]:
 
 def render(name: str) -> str:
     """Tables of all measures, and which method is lower for each N_new."""
-    runs, measures = _runs(name), importlib.import_module(f"experiments.{name}").MEASURES
-    told = [measure for measure in measures if by_seed(runs, measure.figure)]
+    runs = _runs(name)
+    told = [measure for measure in MEASURES[name] if by_seed(runs, measure.figure)]
     tables = [markdown_table(measure, runs) for measure in told]
-    tables += filter(
-        None, [against_table(measure, runs) for measure in told if measure is not LEARNING]
-    )
+    compared = [measure for measure in told if measure is not LEARNING]
+    tables += filter(None, [against_table(measure, runs) for measure in compared])
     claimed = [measure for measure in told if measure.claims]
     orders = [
         line
@@ -48,7 +53,7 @@ def render(name: str) -> str:
 
 def with_results(page: str) -> str:
     """The page with all results between their markers."""
-    for name in EXPERIMENTS:
+    for name in MEASURES:
         begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
         if begin in page and results(name):
             before, _, rest = page.partition(begin)
@@ -58,7 +63,7 @@ def with_results(page: str) -> str:
 
 def draw(name: str) -> list[Path]:
     """One picture for each control, once there are two numbers of motions for a line."""
-    module = importlib.import_module(f"experiments.{name}")
+    module = EXPERIMENTS[name]
     runs, files = _runs(name), []
     if len({run["n_new"] for run in runs} - {0}) < 2:
         return files

@@ -18,6 +18,7 @@ EXPERIMENTS = {
     "place": "places for a body's wires, so that its postures can be held",
     "reach": "a task in the rig: how near it comes to its targets",
     "carry": "what carrying a payload asks of the muscles, before anything is learned",
+    "ablate": "what each part of method (iv) brings: it is left out, alone",
     "grow": "the demo's sequence in the rig, for one or many seeds",
 }
 

@@ -69,9 +69,9 @@ class Comparison:
         settings = variant.settings(load_robot(self.robot))
         old = variant.old(settings)
         network = replace(old, wires=None)
-        trials = _Trials(self, unit, settings, variant, network)
+        trials = Trials(self.score, unit, settings, variant, network)
         collected = collect(settings, unit.seed, network, unit.n_new or 1, variant.arm(Arm))
-        trials.peak_n = collected.peak_tension_n
+        trials.known["collect_peak_n"] = collected.peak_tension_n
         controls = (PAPERS, CONVERGED) if self.papers_control else (CONVERGED,)
         converged = ("norm", "peak") if self.shared else (CONVERGED,)
         if self.shared:
@@ -106,21 +106,27 @@ class Comparison:
         return trials.runs
 
 
-class _Trials:
-    """Tries models on one robot, and keeps what came out."""
+class Trials:
+    """Tries models on one robot, and keeps what came out.
+
+    Attributes:
+        runs: what came out so far.
+        known: figures of the runs to come that are known before.
+        learn_s: how long the model of the runs to come was learned.
+    """
 
     def __init__(
         self,
-        comparison: Comparison,
+        score: Score,
         unit: Unit,
         settings: RobotSettings,
         variant: Variant,
         old: Schema,
     ) -> None:
         self.runs: list[Run] = []
+        self.known: dict[str, float] = {}
         self.learn_s = 0.0
-        self.peak_n = 0.0
-        self._score = comparison.score
+        self._score = score
         self._unit = unit
         self._settings = settings
         self._variant = variant
@@ -131,7 +137,7 @@ class _Trials:
     ) -> None:
         """Do the task and score it. Without a model the oracle controls."""
         arm = self._variant.arm(PaperArm if control == PAPERS else Arm)
-        figures: dict[str, float] = {"collect_peak_n": self.peak_n}
+        figures = dict(self.known)
         try:
             settings = self._settings
             if control in ("norm", "peak"):

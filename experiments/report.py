@@ -57,19 +57,21 @@ def tell(
     if runs:
         for measure in measures:
             print(f"\n{text_table(measure, runs)}\n")
-            print("\n".join(ordering_lines(measure, runs)))
+            if not measure.against:  # else the table itself tells the differences
+                print("\n".join(ordering_lines(measure, runs)))
         (options.out / "tables.md").write_text(
             "\n\n".join(markdown_table(measure, runs) for measure in measures) + "\n"
         )
         files, known = [], list(choices.methods)
-        for control in dict.fromkeys(run["control"] for run in runs):
+        drawn = [measure for measure in measures if not measure.against]
+        for control in dict.fromkeys(run["control"] for run in runs if drawn):
             some = [run for run in runs if run["control"] == control]
             at = options.out / f"{choices.experiment}-{control}"
             words = f"{title}; control: {control}"
-            files += draw_over_n(at, measures, some, title=words, known=known)
+            files += draw_over_n(at, drawn, some, title=words, known=known)
             if len(options.variants) > 1:
                 at = options.out / f"{choices.experiment}-{control}-variants"
-                files += draw_variants(at, measures, some, title=words, known=known)
+                files += draw_variants(at, drawn, some, title=words, known=known)
         print("\nwritten:", *files, options.out / "tables.md", sep="\n  ")
     if options.json:
         told = document(measures, runs, outcome.failed, fingerprint)

@@ -29,6 +29,7 @@ class Measure:
         name, unit, digits: how it is written: `E_theta`, `rad`, 4.
         paper: (method, N_new) -> the paper's number; N_new 0 of a baseline.
         claims: N_new -> the paper's ordering, as it writes it: `(iii) = (ii) < (i)`.
+        against: a method; others are told by what they differ from it. Empty: by their means.
     """
 
     figure: str
@@ -37,6 +38,7 @@ class Measure:
     digits: int
     paper: Mapping[tuple[str, int], float] = field(default_factory=dict)
     claims: Mapping[int, str] = field(default_factory=dict)
+    against: str = ""
 
     @property
     def title(self) -> str:
@@ -75,13 +77,18 @@ def markdown_table(measure: Measure, runs: Sequence[Run]) -> str:
 
 
 def orderings(measure: Measure, runs: Iterable[Run]) -> Iterator[Ordering]:
-    """Every two methods of each variant, control and N_new, over the seeds that both have."""
+    """Every two methods of each variant, control and N_new, over the seeds that both have.
+
+    Of a measure `against` a method: every other one and that.
+    """
     groups: dict[tuple[int, str, str], dict[str, dict[int, float]]] = {}
     for cell, values in by_seed(runs, measure.figure).items():
         if cell.method not in BASELINES:
             groups.setdefault((cell.n_new, cell.variant, cell.control), {})[cell.method] = values
     for (n_new, variant, control), methods in sorted(groups.items(), key=lambda item: item[0][0]):
         for a, b in combinations(methods, 2):
+            if measure.against not in ("", a, b):
+                continue
             difference = paired_difference(methods[a], methods[b])
             if difference.seeds == 0:
                 continue
@@ -143,17 +150,16 @@ def document(
 
 
 def _rows(measure: Measure, runs: Sequence[Run]) -> list[list[str]]:
-    cells = {cell: spread(seeds.values()) for cell, seeds in by_seed(runs, measure.figure).items()}
+    cells = by_seed(runs, measure.figure)
     columns = sorted({cell.n_new for cell in cells} | {n_new for _, n_new in measure.paper})
-    full = max((told.seeds for told in cells.values()), default=0)
+    full = max(map(len, cells.values()), default=0)
     rows = [[measure.title, *("any N" if n == 0 else f"N={n}" for n in columns)]]
     lines = dict.fromkeys(cell._replace(n_new=0) for cell in cells)
     variants = list(dict.fromkeys(line.variant for line in lines))
     place = {"before": 0, "oracle": 2}  # the methods between: from worst to best, one hopes
     for line in sorted(lines, key=lambda x: (variants.index(x.variant), place.get(x.method, 1))):
-        told = [cells.get(line._replace(n_new=n_new)) for n_new in columns]
-        label = _label(line, _several(runs))
-        rows.append([label, *(_cell(one, measure.digits, full) if one else "" for one in told)])
+        told = [_cell(cells, line._replace(n_new=n_new), measure, full) for n_new in columns]
+        rows.append([_label(line, _several(runs)), *told])
     for method in dict.fromkeys(method for method, _ in measure.paper):
         numbers = [measure.paper.get((method, n_new)) for n_new in columns]
         rows.append(
@@ -173,9 +179,21 @@ def _label(line: Cell, several: tuple[bool, bool]) -> str:
     return ", ".join([line.method, *(word for word, tell in named if tell and word)])
 
 
-def _cell(told: Spread, digits: int, full: int) -> str:
-    sd = "" if math.isnan(told.sd) else f" ± {told.sd:.{digits}f}"
-    return f"{told.mean:.{digits}f}{sd}" + (f" ({told.seeds} seeds)" if told.seeds < full else "")
+def _cell(cells: Mapping[Cell, dict[int, float]], at: Cell, measure: Measure, full: int) -> str:
+    """Mean and spread, or the difference: in brackets if it may be none."""
+    if at not in cells:
+        return ""
+    digits, usual = measure.digits, at._replace(method=measure.against)
+    if at != usual and usual in cells:
+        mean, low, high, seeds = difference = paired_difference(cells[at], cells[usual])
+        decided = difference.verdict != "no ordering"
+        interval = f"{mean:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]"
+        words = interval if decided else f"({mean:+.{digits}f})"
+    else:
+        mean, deviation, seeds = spread(cells[at].values())
+        words = f"{mean:.{digits}f}"
+        words += "" if math.isnan(deviation) else f" ± {deviation:.{digits}f}"
+    return words + (f" ({seeds} seeds)" if seeds < full else "")
 
 
 def _interval(order: Ordering, measure: Measure) -> str:

@@ -193,7 +193,8 @@ class RobotSettings(_Table, frozen=True, kw_only=True):
     @property
     def alike(self) -> tuple[str, ...]:
         """The muscles in the same role as the first spare, itself last."""
-        return tuple(x.name for x in (*self.muscle, *self.spare) if x.role == self.role)
+        all_of_them: tuple[Muscle | Spare, ...] = (*self.muscle, *self.spare)
+        return tuple(x.name for x in all_of_them if x.role == self.role)
 
 
 ROBOTS = Path(__file__).parent.parent / "deploy" / "robots"

@@ -20,20 +20,40 @@ from services.body_schema.network import Array
 from services.body_schema.schema import Schema
 from services.body_schema.wires import STRETCH_TERMS, Geometry, Wires, stretch_terms
 
-SITE_SIGMA_M = 0.005  # each way, of hands that fix a module where it nominally is
-OFFSET_SIGMA_M = 1.0  # nobody knows where an encoder began
-STRETCH_SIGMA_M = 0.005  # of each term, where nothing is known of any element
-STRETCH_MEAN_M = (0.001, 0.0, 0.003, 0.0)
-ELEMENT_SHARE = 0.5  # elements of one kind differ by this share ...
-ELEMENT_SIGMA_M = 0.3e-3  # ... and each term by this
 DATA_SIGMA_M = 0.15e-3  # sensors and what the model leaves out, beside a sample's tension noise
 TENSION_SIGMA_N = 0.3
-VIRTUAL = 120  # samples that h_old is asked for
 VIRTUAL_SIGMA_M = 0.3e-3  # what h_old is off by anyway
 MISFIT_COUNTS = 10.0  # h_old is off in one way everywhere: its samples are no independent witnesses
 SAMPLES = 500  # of new motion: neighbours say the same
 ROUNDS = 12
 DONE_M = 1e-6
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """What is believed before anything moved, as standard deviations, and who else is asked.
+
+    Attributes:
+        site_sigma_m: each way, of hands that fix a module where it nominally is.
+        offset_sigma_m: nobody knows where an encoder began.
+        stretch_mean_m, stretch_sigma_m: (K,) of the terms of an element of which nothing is known.
+        element_share: a newcomer's element differs from the others' mean by this share ...
+        element_sigma_m: (K,) ... and each of its terms by this.
+        virtual: samples that h_old is asked for.
+        outlier: a residual of so many deviations counts little more if it is greater.
+    """
+
+    site_sigma_m: float = 0.005
+    offset_sigma_m: float = 1.0
+    stretch_mean_m: tuple[float, ...] = (0.001, 0.0, 0.003, 0.0)
+    stretch_sigma_m: tuple[float, ...] = (0.005,) * STRETCH_TERMS
+    element_share: float = 0.5
+    element_sigma_m: tuple[float, ...] = (0.3e-3,) * STRETCH_TERMS
+    virtual: int = 120
+    outlier: float = 1.0
+
+
+USUAL = Beliefs()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +81,8 @@ def fit_wires(
     length: Array,
     old: Schema | None = None,
     *,
+    beliefs: Beliefs = USUAL,
     seed: int = 0,
-    site_sigma_m: float = SITE_SIGMA_M,
 ) -> Wires:
     """Wires of M muscles from samples theta (T, N) [rad], f (T, M) [N], length (T, M) [m].
 
@@ -78,16 +98,16 @@ def fit_wires(
     every = max(1, len(theta) // SAMPLES)
     data = _measured(theta[::every], f[::every], length[::every])
     if old is not None:
-        data = data + _virtual(old, geometry.muscles, data, rng)
-    sites, offset, stretch = _start(geometry, data)
-    prior = _element_prior(stretch)
+        data = data + _virtual(old, geometry.muscles, data, beliefs.virtual, rng)
+    sites, offset, stretch = _start(geometry, data, beliefs)
+    prior = stretch.copy(), np.diag(1.0 / np.square(beliefs.stretch_sigma_m))
     known = np.array([old is not None and name in old.muscles for name in geometry.muscles])
     for stage in (known, ~known):  # the newcomers' elements are expected to be like the others'
         if not stage.any():
             continue
-        _descend(geometry, data, sites, offset, stretch, prior, stage, site_sigma_m)
+        _descend(geometry, data, sites, offset, stretch, prior, stage, beliefs)
         if stage is known:
-            prior = _like(stretch[known].mean(axis=0), len(known))
+            prior = _like(stretch[known].mean(axis=0), len(known), beliefs)
     return Wires(geometry.muscles, geometry.paths, sites, offset, stretch)
 
 
@@ -99,19 +119,19 @@ def _measured(theta: Array, f: Array, length: Array) -> Samples:
 
 
 def _virtual(
-    old: Schema, muscles: Sequence[str], data: Samples, rng: np.random.Generator
+    old: Schema, muscles: Sequence[str], data: Samples, count: int, rng: np.random.Generator
 ) -> Samples:
     """What h_old says where it was learned, trusted as far as it is right on the new motion."""
     columns = [muscles.index(name) for name in old.muscles]
     low, high = old.theta_range_rad.T
     weak, strong = old.tension_range_n.T
-    theta = rng.uniform(low, high, (VIRTUAL, len(low)))
-    share = rng.uniform(size=(VIRTUAL, len(weak))) ** 2  # more where elements are soft
+    theta = rng.uniform(low, high, (count, len(low)))
+    share = rng.uniform(size=(count, len(weak))) ** 2  # more where elements are soft
     f_old = np.maximum(weak + share * (strong - weak), SLACK_N)
     off = data.length[:, columns] - old.lengths(data.theta, data.f[:, columns])
     known = np.isfinite(data.sigma[:, columns])
     misfit = np.sqrt((off**2 * known).sum(axis=0) / np.maximum(known.sum(axis=0), 1))  # (M_old,)
-    f = np.full((VIRTUAL, len(muscles)), SLACK_N)
+    f = np.full((count, len(muscles)), SLACK_N)
     length = np.zeros_like(f)
     sigma = np.full_like(f, np.inf)
     f[:, columns] = f_old
@@ -121,11 +141,11 @@ def _virtual(
     return Samples(theta, f, length, sigma)
 
 
-def _start(geometry: Geometry, data: Samples) -> tuple[Array, Array, Array]:
+def _start(geometry: Geometry, data: Samples, beliefs: Beliefs) -> tuple[Array, Array, Array]:
     """Nominal sites, usual elements, and the offset that fits best to them."""
     m = len(geometry.muscles)
     sites = geometry.sites_m.copy()
-    stretch = np.tile(STRETCH_MEAN_M, (m, 1))
+    stretch = np.tile(beliefs.stretch_mean_m, (m, 1))
     geometry.place(sites)
     path = np.array([geometry.lengths(t) for t in data.theta])
     off = data.length - path + np.vecdot(stretch_terms(data.f), stretch)
@@ -138,14 +158,10 @@ def _start(geometry: Geometry, data: Samples) -> tuple[Array, Array, Array]:
     return sites, offset, stretch
 
 
-def _element_prior(stretch: Array) -> tuple[Array, Array]:
-    """Mean (M, K) and information (K, K) of the elements' weights where nothing is known."""
-    return stretch.copy(), np.eye(STRETCH_TERMS) / STRETCH_SIGMA_M**2
-
-
-def _like(mean: Array, count: int) -> tuple[Array, Array]:
-    """Elements like the known ones: of the same kind, by and large as soft."""
-    covariance = ELEMENT_SHARE**2 * np.outer(mean, mean) + ELEMENT_SIGMA_M**2 * np.eye(len(mean))
+def _like(mean: Array, count: int, beliefs: Beliefs) -> tuple[Array, Array]:
+    """Mean (M, K) and information (K, K) of elements of the known ones' kind, about as soft."""
+    apart = np.diag(np.square(beliefs.element_sigma_m))
+    covariance = beliefs.element_share**2 * np.outer(mean, mean) + apart
     return np.tile(mean, (count, 1)), np.asarray(np.linalg.inv(covariance))
 
 
@@ -157,7 +173,7 @@ def _descend(
     stretch: Array,
     prior: tuple[Array, Array],
     wanted: Array,
-    site_sigma_m: float,
+    beliefs: Beliefs,
 ) -> None:
     """Gauss-Newton for all wanted muscles at once, in place."""
     terms = stretch_terms(data.f)  # (T, M, K)
@@ -175,7 +191,8 @@ def _descend(
             sigma = data.sigma[known, k]
             model = path[known, k] + offset[k] - terms[known, k] @ stretch[k]
             residual = (data.length[known, k] - model) / sigma
-            robust = (1.0 + residual**2) ** -0.25  # square root of soft L1's weight
+            # the square root of soft L1's weight
+            robust = (1.0 + (residual / beliefs.outlier) ** 2) ** -0.25
             columns = np.hstack(
                 (
                     slopes[known][:, own].reshape(len(sigma), -1),
@@ -187,10 +204,10 @@ def _descend(
             hessian = a.T @ a
             slope = a.T @ (residual * robust)
             s = 3 * len(own)
-            pull = (nominal[own] - sites[own]).ravel() / site_sigma_m**2
-            hessian[np.arange(s), np.arange(s)] += site_sigma_m**-2
+            pull = (nominal[own] - sites[own]).ravel() / beliefs.site_sigma_m**2
+            hessian[np.arange(s), np.arange(s)] += beliefs.site_sigma_m**-2
             slope[:s] += pull
-            hessian[s, s] += OFFSET_SIGMA_M**-2
+            hessian[s, s] += beliefs.offset_sigma_m**-2
             hessian[s + 1 :, s + 1 :] += information
             slope[s + 1 :] += information @ (mean[k] - stretch[k])
             step = np.linalg.solve(hessian, slope)

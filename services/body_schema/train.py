@@ -131,8 +131,7 @@ def relearn(
         replay = _with_zeros(replay, len(old.joints), len(old.muscles))
         start = _grown(old, added, f, length)
     if not copy:
-        config = NetworkConfig(len(old.joints), len(start.muscles))
-        start = replace(start, weights=initial_weights(config, seed))
+        start = _random(start, seed)
     weights = _train(
         start, _scaled(start, theta, f, length), (replay, METHODS[method]), recipe, seed, progress
     )
@@ -147,18 +146,23 @@ def teach(
     *,
     seed: int = 0,
     recipe: Recipe = TEACH,
+    copy: bool = True,
+    polish: bool = True,
     progress: Progress | None = None,
 ) -> Schema:
     """h_new as a pupil of somebody who knows l = teacher(theta, f), (B, N), (B, M) -> (B, M).
 
-    Weights are copied from h_old as in `relearn`; its usual residuals are those on the motions.
-    The pupil is asked at random (theta, f), more often at low tension, where elements are soft.
+    Weights are copied from h_old as in `relearn`, and `polish` solves for its last layer;
+    its usual residuals are those on the motions. The pupil is asked at random (theta, f), more
+    often at low tension, where elements are soft.
 
     Raises:
         TrainingError: see `taut_samples`.
     """
     theta, f, length = taut_samples(motions, len(old.joints), len(old.muscles) + bool(added))
     start = _grown(old, added, f, length) if added else replace(old, wires=None)
+    if not copy:
+        start = _random(start, seed)
     rng = np.random.default_rng(seed)
     low, high = old.theta_range_rad.T
     strong = old.tension_range_n[:, 1].mean()
@@ -167,8 +171,9 @@ def teach(
     tension = SLACK_N + share * (strong - SLACK_N)
     answers = teacher(asked, tension)
     lesson = _scaled(start, asked, tension, answers)
-    weights = _train(start, lesson, None, recipe, seed, progress)
-    taught = polished(replace(start, weights=weights), asked, tension, answers)
+    taught = replace(start, weights=_train(start, lesson, None, recipe, seed, progress))
+    if polish:
+        taught = polished(taught, asked, tension, answers)
     taught = _with_residuals(taught, theta, f, length)
     return replace(taught, tension_range_n=np.tile((SLACK_N, strong), (len(start.muscles), 1)))
 
@@ -212,6 +217,12 @@ def _grown(old: Schema, added: str, f: Array, length: Array) -> Schema:
         ),
         wires=None,
     )
+
+
+def _random(schema: Schema, seed: int) -> Schema:
+    """The schema with the weights of a network that has learned nothing."""
+    config = NetworkConfig(len(schema.joints), len(schema.muscles))
+    return replace(schema, weights=initial_weights(config, seed))
 
 
 # ── data ──────────────────────────────────────────────────────────────────────────────────────

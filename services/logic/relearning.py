@@ -13,7 +13,7 @@ from pathlib import Path
 
 from runtime.messages import Motion, MusclePath, TrainingJob
 from runtime.settings import RobotSettings
-from services.body_schema.fit_wires import fit_wires
+from services.body_schema.fit_wires import USUAL, Beliefs, fit_wires
 from services.body_schema.motions import TrainingError, refit, reordered, stacked
 from services.body_schema.schema import Schema
 from services.body_schema.wires import WireModel
@@ -81,6 +81,7 @@ def fitted(
     settings: RobotSettings,
     paths: Mapping[str, MusclePath],
     seed: int = 0,
+    beliefs: Beliefs = USUAL,
 ) -> WireModel:
     """Wires of `muscles`, the motions' columns, about where they nominally run.
 
@@ -98,7 +99,7 @@ def fitted(
     theta = stacked([motion.angle_rad for motion in motions], len(base.joints))
     f = stacked([motion.tension_n for motion in motions], len(muscles))
     length = stacked([motion.length_m for motion in motions], len(muscles))
-    wires = fit_wires(geometry, theta, f, length, base, seed=seed)
+    wires = fit_wires(geometry, theta, f, length, base, beliefs=beliefs, seed=seed)
     return WireModel(wires, geometry, base.joints)
 
 

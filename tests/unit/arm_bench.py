@@ -36,9 +36,10 @@ class Bench:
     shift_m: dict[str, float] = field(default_factory=dict)  # of lengths from what h expects
     now_ns: int = 1_000 * MS
     mode: str = "follow"
+    kind: type[Arm] = Arm
 
     def __post_init__(self) -> None:
-        self.arm = Arm(SETTINGS, SKELETON)
+        self.arm = self.kind(SETTINGS, SKELETON)
         self.schema = shipped()
         self.arm.use(self.schema)
         self.tension_n = {name: 12.0 for name in self.muscles} | self.tension_n

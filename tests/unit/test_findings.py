@@ -188,6 +188,30 @@ def test_the_document_holds_everything_and_is_json() -> None:
     assert order["difference"] == {"mean": -0.1, "low": None, "high": None, "seeds": 1}
 
 
+# ── differences from one method ───────────────────────────────────────────────────────────────
+
+
+AGAINST = Measure("e_theta_rad", "E_theta", "rad", 3, against="(i)")
+
+
+def test_methods_are_told_by_what_they_differ_from_one() -> None:
+    more = [*RUNS, *(run("(iii)", 1, seed, 0.06 + 0.001 * seed) for seed in range(3))]
+    rows = markdown_table(AGAINST, more).splitlines()[2:]
+    assert rows == [
+        "| before | 0.020 ± 0.000 |  |  |",
+        "| (i) |  | 0.051 ± 0.001 | 0.030 ± 0.010 |",
+        "| (ii) |  | -0.010 [-0.010, -0.010] | (-0.005) (2 seeds) |",
+        "| (iii) |  | +0.010 [+0.010, +0.010] |  |",
+        "| oracle | 0.010 ± 0.000 |  |  |",
+    ]
+
+
+def test_only_that_one_is_ordered_against() -> None:
+    more = [*RUNS, *(run("(iii)", 1, seed, 0.06) for seed in range(3))]
+    told = {(x.a, x.b) for x in orderings(AGAINST, more) if x.n_new == 1}
+    assert told == {("(ii)", "(i)"), ("(i)", "(iii)")}
+
+
 # ── pictures ──────────────────────────────────────────────────────────────────────────────────
 
 

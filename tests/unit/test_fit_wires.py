@@ -10,7 +10,7 @@ import pytest
 
 from hardware_sim.wire_drive import elastic_stretch_m
 from runtime.settings import load_robot
-from services.body_schema.fit_wires import fit_wires
+from services.body_schema.fit_wires import Beliefs, fit_wires
 from services.body_schema.motions import SLACK_N, TrainingError
 from services.body_schema.network import Array
 from services.body_schema.wires import WireModel, Wires, stretch_terms
@@ -102,7 +102,7 @@ GOOD_MM = 0.3
 @pytest.mark.parametrize("count", [2, 3])
 def test_two_or_three_short_motions_are_enough(count: int, seed: int) -> None:
     truth = Truth(seed=seed)
-    drawn = fit_wires(geometry(), *truth.motions(count, seed), site_sigma_m=1e-6)
+    drawn = fit_wires(geometry(), *truth.motions(count, seed), beliefs=Beliefs(site_sigma_m=1e-6))
     assert worst_mm(drawn, truth).max() > 1.0  # the drawing alone will not do
     assert (worst_mm(fit(truth, count, seed=seed), truth) < GOOD_MM).all()
 
@@ -149,6 +149,23 @@ def test_a_few_foul_readings_do_little() -> None:
     theta, f, length = truth.motions(3, 3)
     length[::20] += 0.01
     assert (worst_mm(fit_wires(geometry(), theta, f, length), truth) < GOOD_MM).all()
+
+
+def test_by_least_squares_they_do_much() -> None:
+    truth = Truth()
+    theta, f, length = truth.motions(3, 3)
+    length[::20] += 0.01
+    trusting = Beliefs(outlier=np.inf)
+    assert worst_mm(fit_wires(geometry(), theta, f, length, beliefs=trusting), truth).max() > 0.5
+
+
+def test_h_old_may_be_left_unasked() -> None:
+    truth, deaf = Truth(), Beliefs(virtual=0)
+    right, wrong = (
+        fit_wires(geometry(), *truth.motions(2, 3), HOld(truth, off_m), beliefs=deaf)  # type: ignore[arg-type]
+        for off_m in (0.0, 0.004)
+    )
+    assert right.to_table() == wrong.to_table()
 
 
 def test_elements_are_told_from_paths() -> None:

@@ -130,6 +130,29 @@ def test_a_pupils_residuals_are_those_on_the_motions(taught: Schema) -> None:
     assert taught.tension_range_n.tolist() == [[3.6, 120.0]] * 4
 
 
+STILL = Recipe(steps=1, batch=8192, rate=0.0)  # descent changes nothing
+
+
+def test_without_polish_only_descent_changes_the_network() -> None:
+    motions = body.spread_motions(1, 0)
+    pupil = teach(old(), motions, NEW, body.lengths, recipe=STILL, polish=False)
+    theta, f, _ = body.random_data(50, 4, seed=21)
+    np.testing.assert_allclose(
+        pupil.lengths(theta, f)[:, :3], old().lengths(theta, f[:, :3]), atol=1e-6
+    )
+
+
+def test_without_copy_the_weights_of_h_old_do_not_matter() -> None:
+    motions = body.spread_motions(1, 0)
+    other = replace(old(), weights=untrained(outer=60, inner=20, seed=9).weights)
+    assert other.to_bytes() != old().to_bytes()
+    one, two = (
+        teach(h_old, motions, NEW, body.lengths, recipe=STILL, copy=False)
+        for h_old in (old(), other)
+    )
+    assert one.to_bytes() == two.to_bytes()
+
+
 def test_the_same_seed_teaches_the_same() -> None:
     short = Recipe(steps=10, batch=512, rate=1e-3)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -77,3 +78,14 @@ def test_other_methods_are_other_results(tmp_path: Path) -> None:
     assert run(tmp_path, "--quick", "--methods", "i") == 0
     with pytest.raises(SweepError, match=r'was: methods \["\(i\)"\], now \["\(ii\)"\]'):
         run(tmp_path, "--quick", "--methods", "ii")
+
+
+def test_differences_are_told_and_not_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(globals(), "LOSS", replace(LOSS, claims={}, against="(i)"))
+    assert run(tmp_path, "--seeds", "3") == 0
+    out = capsys.readouterr().out
+    assert "-1.05 [-1.17, -0.93]" in out and "no ordering" not in out and "seeds" not in out
+    assert [path.name for path in tmp_path.glob("*.md")] == ["tables.md"]
+    assert not list(tmp_path.glob("*.png"))
