@@ -115,7 +115,7 @@ def learned(
         return wires
     from services.body_schema import train  # torch: only who learns pays for it
 
-    recipe = replace(train.NEW, steps=train.NEW.steps // 10) if quick else train.NEW
+    recipe = replace(train.TEACH, steps=train.TEACH.steps // 10) if quick else train.TEACH
     return train.teach(
         old,
         motions,
