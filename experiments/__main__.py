@@ -18,6 +18,7 @@ EXPERIMENTS = {
     "place": "places for a body's wires, so that its postures can be held",
     "reach": "a task in the rig: how near it comes to its targets",
     "carry": "what carrying a payload asks of the muscles, before anything is learned",
+    "estimate": "how well muscles alone tell where the joints are, and whether they know it",
     "grow": "the demo's sequence in the rig, for one or many seeds",
 }
 
