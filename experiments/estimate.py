@@ -81,7 +81,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Learn, watch the tasks of every seed, tell; 1 if a task did not end."""
+    """Learn, watch every seed, tell; 1 if a task did not end. Ctrl-C tells what is there."""
     if args.robot not in SUBJECTS:
         raise UsageError(f"'{args.robot}': there are {', '.join(SUBJECTS)}")
     if args.seeds < 1 or args.seed < 0:
@@ -116,6 +116,9 @@ def run(args: argparse.Namespace) -> int:
                         pictured.append(findings.Panel(title, case.seen, told[DIRECT][0]))
             except SessionError as error:
                 failed.append(f"seed {seed}: {error}")
+            except KeyboardInterrupt:  # what is known by now is worth telling
+                failed.append(f"seed {seed}: interrupted")
+                break
         narrate("watch", args.seeds, args.seeds)
     out = args.out or state_home() / "experiments" / "estimate"
     return _tell(settings, args, runs, failed, pictured, out / args.robot)

@@ -19,7 +19,7 @@ M = 4
 @pytest.fixture(scope="module")
 def schema() -> Schema:
     theta, f, length = body.random_data(2000, M, seed=1)
-    recipe = Recipe(steps=1500, batch=48, rate=4e-3)
+    recipe = Recipe(steps=800, batch=48, rate=4e-3)
     return train_old(body.JOINTS, body.MUSCLES, theta, f, length, recipe=recipe)
 
 
