@@ -27,29 +27,21 @@ def learn_direct(
     scales: Schema, theta: Array, f: Array, length: Array, recipe: Recipe, seed: int
 ) -> Estimate:
     """Learn theta (T, N) [rad] from f (T, M) [N] and length (T, M) [m], scaled as in `scales`."""
-    import torch
+    from services.body_schema.train_network import regressed
 
-    from services.body_schema.train_network import Trainee
-
-    torch.set_num_threads(1)
     n = len(scales.joints)
     known = scales.scaled(theta, f, length)
-    inputs = torch.tensor(known[:, n:], dtype=torch.float32)
-    targets = torch.tensor(known[:, :n], dtype=torch.float32)
-    random = torch.Generator().manual_seed(seed)
-    network = Trainee(_start(inputs.shape[1], n, weight_count(scales.weights), seed))
-    optimiser = torch.optim.Adam([network.parameters], lr=recipe.rate, fused=True)
-    per_epoch = math.ceil(len(theta) / recipe.batch)
-    epochs = max(recipe.passes, math.ceil(recipe.steps / per_epoch))
-    for epoch in range(epochs):
-        rows = torch.randperm(len(theta), generator=random)
-        for i, picks in enumerate(torch.split(rows, recipe.batch)):
-            done = (epoch * per_epoch + i) / (epochs * per_epoch)
-            optimiser.param_groups[0]["lr"] = recipe.rate_at(done)
-            error = network.forward(inputs[picks]) - targets[picks]
-            network.backward(2.0 / len(picks) * error)
-            optimiser.step()
-    weights = network.weights()
+    start = _start(known.shape[1] - n, n, weight_count(scales.weights), seed)
+    epochs = max(recipe.passes, math.ceil(recipe.steps / math.ceil(len(theta) / recipe.batch)))
+    weights = regressed(
+        start,
+        known[:, n:],
+        known[:, :n],
+        batch=recipe.batch,
+        epochs=epochs,
+        rate_at=recipe.rate_at,
+        seed=seed,
+    )
 
     def estimate(f: Array, length: Array) -> Array:
         x = scales.scaled(np.zeros((len(f), n)), f, length)[:, n:]
