@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+EVERY = 4  # samples: more a picture does not show
 COLUMNS = {
     "moving_rad": "moving [rad]",
     "resting_rad": "resting [rad]",
@@ -88,7 +89,7 @@ def draw(path: Path, settings: RobotSettings, panels: Sequence[Panel], title: st
 
     def fill(figure: Figure) -> None:
         grid = figure.subplots(
-            2, len(panels), squeeze=False, sharex="col", sharey="row", height_ratios=[1.0, 1.6]
+            2, len(panels), squeeze=False, sharex="col", height_ratios=[1.0, 1.6]
         )
         for (top, low), panel in zip(grid.T, panels, strict=True):
             _panel(top, low, panel, joint)
@@ -110,9 +111,9 @@ def draw(path: Path, settings: RobotSettings, panels: Sequence[Panel], title: st
 
 def _panel(top: Axes, low: Axes, panel: Panel, joint: int) -> None:
     seen = panel.seen
-    time_s = seen.time_s - seen.time_s[0]
+    time_s = (seen.time_s - seen.time_s[0])[::EVERY]
     true, said, sigma, direct = (
-        np.degrees(x[:, joint])
+        np.degrees(x[::EVERY, joint])
         for x in (seen.true_rad, seen.estimate_rad, seen.sigma_rad, panel.direct_rad)
     )
     top.set_title(panel.title, fontsize=9, loc="left")

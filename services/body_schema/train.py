@@ -101,8 +101,7 @@ def train_old(
         tension_range_n=_range(f),
     )
     weights = _train(blank, _scaled(blank, theta, f, length), None, recipe, seed, progress)
-    learned = polished(replace(blank, weights=weights), theta, f, length)
-    return _with_residuals(learned, theta, f, length)
+    return _with_residuals(replace(blank, weights=weights), theta, f, length)
 
 
 def relearn(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from services.body_schema.network import Array
+from services.body_schema.polish import polished
 from services.body_schema.posture import Posture, posture
 from services.body_schema.schema import Schema
 from services.body_schema.train import Recipe, train_old
@@ -20,7 +21,10 @@ M = 4
 def schema() -> Schema:
     theta, f, length = body.random_data(2000, M, seed=1)
     recipe = Recipe(steps=800, batch=48, rate=4e-3)
-    return train_old(body.JOINTS, body.MUSCLES, theta, f, length, recipe=recipe)
+    rough = train_old(body.JOINTS, body.MUSCLES, theta, f, length, recipe=recipe)
+    solved = polished(rough, theta, f, length)
+    off_m = solved.lengths(theta, f) - length
+    return replace(solved, length_sigma_m=np.sqrt((off_m**2).mean(axis=0)))
 
 
 def asked(schema: Schema, f: Array, length: Array) -> list[Posture]:
