@@ -19,6 +19,7 @@ EXPERIMENTS = {
     "reach": "a task in the rig: how near it comes to its targets",
     "carry": "what carrying a payload asks of the muscles, before anything is learned",
     "ablate": "what each part of method (iv) brings: it is left out, alone",
+    "estimate": "how well muscles alone tell where the joints are, and whether they know it",
     "grow": "the demo's sequence in the rig, for one or many seeds",
 }
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from runtime.settings import RobotSettings, load_robot
 from services.body_schema.motions import SLACK_N, residuals_m
 from services.body_schema.schema import Schema
 from services.logic.wiring import served
+
+if TYPE_CHECKING:
+    from services.body_schema.train import Recipe
 
 HELD_OUT_EVERY = 10
 DURATION_S = 500.0
@@ -65,8 +69,7 @@ def run(args: argparse.Namespace) -> int:
     if args.drawing_off_mm is not None:
         schema = _from_drawing(settings, args)
         return _write(schema, out, start)
-    usual = DURATION_S if len(settings.joints) == 1 else LARGER_DURATION_S
-    seconds = (args.seconds or usual) / (10 if args.quick else 1)
+    seconds = (args.seconds or usual_s(settings)) / (10 if args.quick else 1)
     with bars() as narrate:
         recording = collect_old(
             settings, args.seed, seconds, lambda s: narrate("collect", round(100 * s), 100)
@@ -125,6 +128,11 @@ def _write(schema: Schema, out: Path, start_s: float) -> int:
     return 0
 
 
+def usual_s(settings: RobotSettings) -> float:
+    """Robot time of motion that a first schema is learned from."""
+    return DURATION_S if len(settings.joints) == 1 else LARGER_DURATION_S
+
+
 def learn_old(
     recording: Recording,
     seed: int,
@@ -133,14 +141,9 @@ def learn_old(
     progress: Callable[[int, int, float, float, float], None] | None = None,
 ) -> Schema:
     """Train h_old on what was recorded, but for every tenth sample."""
-    from services.body_schema.train import OLD, train_old  # torch: only who trains pays for it
+    from services.body_schema.train import train_old  # torch: only who trains pays for it
 
-    theta, f, length, held = _taut(recording)
-    recipe = OLD
-    if len(recording.joints) > 1:  # more to tell apart: more steps, each over more samples
-        recipe = replace(OLD, steps=LARGER_STEPS, batch=LARGER_BATCH, rate=LARGER_RATE)
-    if quick:
-        recipe = replace(recipe, steps=recipe.steps // 10)
+    theta, f, length, held = taut(recording)
     return train_old(
         recording.joints,
         recording.muscles,
@@ -148,21 +151,31 @@ def learn_old(
         f[~held],
         length[~held],
         seed=seed,
-        recipe=recipe,
+        recipe=recipe_for(len(recording.joints), quick=quick),
         progress=progress,
     )
 
 
+def recipe_for(joints: int, *, quick: bool = False) -> Recipe:
+    """How hard a first schema is trained."""
+    from services.body_schema.train import OLD
+
+    recipe = OLD
+    if joints > 1:  # more to tell apart: more steps, each over more samples
+        recipe = replace(OLD, steps=LARGER_STEPS, batch=LARGER_BATCH, rate=LARGER_RATE)
+    return replace(recipe, steps=recipe.steps // 10) if quick else recipe
+
+
 def held_out(schema: Schema, recording: Recording) -> tuple[list[float], float]:
     """Rms residuals on the samples left out: lengths by muscle [mm], angles in all [rad]."""
-    theta, f, length, held = _taut(recording)
+    theta, f, length, held = taut(recording)
     length_m = schema.lengths(theta[held], f[held]) - length[held]
     angle_rad = schema.estimate(f[held], length[held]) - theta[held]
     rms_mm = np.sqrt(np.mean(length_m**2, axis=0)) * 1e3
     return rms_mm.tolist(), float(np.sqrt(np.mean(angle_rad**2)))
 
 
-def _taut(recording: Recording) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+def taut(recording: Recording) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """The taut samples: theta (T, N), f (T, M), l (T, M), and which of them are held out."""
     taut = (recording.tension_n >= SLACK_N).all(axis=1)
     theta, f = recording.angle_rad[taut], recording.tension_n[taut]

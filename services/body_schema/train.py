@@ -45,6 +45,10 @@ class Recipe:
     rate: float  # of Adam at its highest; it rises over the first twentieth, then falls as a cosine
     passes: int = 1  # epochs, at least: more data are worth more steps
 
+    def rate_at(self, done: float) -> float:
+        """The rate after a share of the steps."""
+        return self.rate * min(1.0, 20 * done + 1e-3) * (0.5 + 0.5 * math.cos(math.pi * done))
+
 
 OLD = Recipe(steps=20_000, batch=128, rate=4e-3)
 NEW = Recipe(steps=3000, batch=32, rate=2e-3, passes=25)
@@ -326,7 +330,7 @@ def _train(
         weights = torch.tensor((1.0, w))[: len(rows)]  # of L_new, L_old
         sums = torch.zeros(2)
         for i, picks in enumerate(torch.split(rows, recipe.batch, dim=1)):  # (2 or 1, B)
-            optimiser.param_groups[0]["lr"] = _rate(recipe, (epoch * per_epoch + i) / steps)
+            optimiser.param_groups[0]["lr"] = recipe.rate_at((epoch * per_epoch + i) / steps)
             out = network.forward(data.inputs[picks].flatten(0, 2))
             error = (out.view(*picks.shape, 3, -1) - data.targets[picks]) * data.keep[picks]
             losses, slope = losses_and_slope(error, group_of, weights)
@@ -337,7 +341,3 @@ def _train(
             loss_new, loss_old = (sums / per_epoch).tolist()
             progress(epoch + 1, epochs, loss_new + w * loss_old, loss_new, loss_old)
     return network.weights()
-
-
-def _rate(recipe: Recipe, done: float) -> float:
-    return recipe.rate * min(1.0, 20 * done + 1e-3) * (0.5 + 0.5 * math.cos(math.pi * done))

@@ -5,10 +5,13 @@ The gradients are written out: autograd takes longer than all sums of so small a
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 import torch
 
-from services.body_schema.network import Weights, forward
+from services.body_schema.network import Array, Weights, forward
 
 TINY = 1e-12  # squared, beside scaled errors: at zero a norm has no slope
 
@@ -78,3 +81,34 @@ def losses_and_slope(
     share = weights / error.shape[1]
     slope = error * ((share[:, None, None, None] / norms) @ group_of.T)
     return norms.sum(dim=(2, 3)).mean(dim=1), slope
+
+
+def regressed(
+    weights: Weights,
+    inputs: Array,
+    targets: Array,
+    *,
+    batch: int,
+    epochs: int,
+    rate_at: Callable[[float], float],
+    seed: int,
+) -> Weights:
+    """Weights that give targets (T, out) for inputs (T, in): plain mean squares, by Adam.
+
+    `rate_at` says the rate after a share of the steps.
+    """
+    torch.set_num_threads(1)
+    x, y = (torch.tensor(a, dtype=torch.float32) for a in (inputs, targets))
+    random = torch.Generator().manual_seed(seed)
+    network = Trainee(weights)
+    optimiser = torch.optim.Adam([network.parameters], fused=True)
+    per_epoch = math.ceil(len(x) / batch)
+    for epoch in range(epochs):
+        rows = torch.randperm(len(x), generator=random)
+        for i, picks in enumerate(torch.split(rows, batch)):
+            done = (epoch * per_epoch + i) / (epochs * per_epoch)
+            optimiser.param_groups[0]["lr"] = rate_at(done)
+            error = network.forward(x[picks]) - y[picks]
+            network.backward(2.0 / len(picks) * error)
+            optimiser.step()
+    return network.weights()

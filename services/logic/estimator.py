@@ -1,5 +1,7 @@
 """Where are the joints? Answered from muscle tension and length alone, by the body schema.
 
+Mask 011 gives a first answer, which is refined (`body_schema/posture.py`).
+
 One estimate is made for each complete set of readings, about 100 times a second: every chain that
 has muscles of the schema has said something new. It carries the stamp of the oldest reading in it.
 """
@@ -7,7 +9,6 @@ has muscles of the schema has said something new. It carries the stamp of the ol
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import sqrt
 
 import numpy as np
 
@@ -21,21 +22,19 @@ from runtime.messages import (
     SchemaVersion,
 )
 from runtime.settings import RobotSettings
-from services.body_schema.network import Array
+from services.body_schema.posture import posture
 from services.body_schema.schema import Schema, SchemaError
 
 STALE_NS = 100_000_000  # a reading older than this tells nothing about now
 EVERY_NS = 9_000_000  # readings sooner than this after those of the last estimate are passed over
-FINEST_M = 1e-5  # no length sensor is trusted beyond this, whatever a schema says of itself
 
 
 class Estimator:
     """`ChainState` and `SchemaVersion` in, `JointEstimate` out.
 
     anomaly         |measured - predicted length| of a muscle, over its usual size
-    confidence_rad  the schema's own error on held-out motion, times the RMS anomaly when that is
-                    above 1: readings that do not fit the schema make the estimate worth less in
-                    proportion. It never claims more than held-out motion has shown.
+    confidence_rad  standard deviation, from the muscles' usual residuals and how they tell on the
+                    joints; readings that do not fit the schema widen it in proportion
     """
 
     inputs: tuple[type[Message], ...] = (ChainState, SchemaVersion)
@@ -125,23 +124,14 @@ class Estimator:
         if not (np.isfinite(f) & np.isfinite(length)).all():
             return None
         self._last_ns = min(state.stamp_ns for state, _ in readings)
-        theta = schema.estimate(f, length)
-        predicted = schema.lengths(theta, f)
-        anomaly = _anomaly(length, predicted, schema.length_sigma_m)
-        level = max(1.0, sqrt(anomaly.dot(anomaly) / len(anomaly)))
+        found = posture(schema, f, length)
         return JointEstimate(
             stamp_ns=self._last_ns,
             joints=schema.joints,
-            angle_rad=tuple(theta.tolist()),
-            confidence_rad=tuple((schema.angle_sigma_rad * level).tolist()),
+            angle_rad=tuple(found.angle_rad.tolist()),
+            confidence_rad=tuple(found.sigma_rad.tolist()),
             muscles=schema.muscles,
-            predicted_length_m=tuple(predicted.tolist()),
-            predicted_tension_n=tuple(schema.tensions(theta, length).tolist()),
-            anomaly=tuple(anomaly.tolist()),
+            predicted_length_m=tuple(found.length_m.tolist()),
+            predicted_tension_n=tuple(schema.tensions(found.angle_rad, length).tolist()),
+            anomaly=tuple(np.abs(found.residual).tolist()),
         )
-
-
-def _anomaly(measured_m: Array, predicted_m: Array, sigma_m: Array) -> Array:
-    """(M,): residual over its usual size; about 1 is usual, above 3 is odd."""
-    residual: Array = np.abs(measured_m - predicted_m) / np.maximum(sigma_m, FINEST_M)
-    return residual

@@ -186,7 +186,7 @@ def test_learn_writes_a_schema_and_says_how_good_it_is(
 
 def test_every_tenth_taut_sample_is_held_out() -> None:
     recording = collect_old(SETTINGS, seed=2, duration_s=2.0)
-    theta, f, length, held = learn._taut(recording)
+    theta, f, length, held = learn.taut(recording)
     assert len(theta) == len(f) == len(length) == len(held)
     assert (f >= SLACK_N).all()
     assert held.sum() == -(-len(held) // 10)

@@ -1,0 +1,69 @@
+"""Where the joints are: mask 011's answer, refined until mask 110 agrees with what was measured.
+
+    min over theta  sum of rho((l - h(theta, f, 0, 110)) / sigma)
+
+The network gives 011 and 110 each as well as it can, and of the two 110 is the better known: how
+far it is usually off, `length_sigma_m`, stands in the schema for each muscle. `rho` is Student's t
+with few degrees of freedom (Lange, Little and Taylor 1989), so that one muscle whose load cell
+sticks is outvoted by the others instead of dragging the joints along. Gauss-Newton with its
+weights; the covariance is that of weighted least squares, `(J^T W J)^-1`, and what does not fit
+widens it: by the residual's mean square for each degree of freedom that the joints leave.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from services.body_schema.network import Array
+from services.body_schema.schema import Schema
+
+FREEDOM = 4.0  # of Student's t: a residual of three times the usual one counts a quarter or so
+FINEST_M = 1e-5  # no length sensor is trusted beyond this, whatever a schema says of itself
+ROUNDS = 5
+LONGEST_RAD = 0.2  # step of a joint in one round: further the network is not straight
+DONE_RAD = 1e-4
+
+
+class Posture(NamedTuple):
+    """N joints as M muscles tell them."""
+
+    angle_rad: Array  # (N,)
+    sigma_rad: Array  # (N,) standard deviation
+    length_m: Array  # (M,) that such a posture should have
+    residual: Array  # (M,) measured - that, over its usual size
+
+
+def posture(schema: Schema, f: Array, length: Array) -> Posture:
+    """The joints at tensions f (M,) [N] and lengths (M,) [m], and how well they are known.
+
+    A direction that no wire tells is held at mask 011's answer, with the joint's range as sigma.
+    """
+    sigma = np.maximum(schema.length_sigma_m, FINEST_M)
+    start = theta = schema.estimate(f, length)
+    low, high = schema.theta_range_rad.T
+    vague = (high - low) ** -2.0
+    for _ in range(ROUNDS):
+        predicted, jacobian = schema.lengths_and_jacobian(theta, f)
+        residual, slope = (length - predicted) / sigma, jacobian / sigma[:, None]
+        weighted = slope.T * _weights(residual)
+        information = weighted @ slope
+        information.flat[:: len(theta) + 1] += vague
+        step = np.linalg.solve(information, weighted @ residual + vague * (start - theta))
+        step = np.minimum(np.maximum(step, -LONGEST_RAD), LONGEST_RAD)
+        theta = theta + step
+        if np.abs(step).max() < DONE_RAD:
+            predicted = predicted + jacobian @ step  # over so short a step the network is straight
+            break
+    else:
+        predicted = schema.lengths(theta, f)
+    residual = (length - predicted) / sigma
+    freedom = max(1, len(f) - len(theta))
+    level = max(1.0, float(residual @ residual) / freedom)
+    variance = level * np.linalg.inv(information).diagonal()
+    return Posture(theta, np.sqrt(variance), predicted, residual)
+
+
+def _weights(residual: Array) -> Array:
+    return np.asarray((FREEDOM + 1.0) / (FREEDOM + residual**2))
