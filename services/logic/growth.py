@@ -67,6 +67,7 @@ class GrowthRecord(msgspec.Struct):
     motions: list[Motion] = []
     job: str = ""
     restarts: int = 0
+    paused: bool = False  # until somebody asks for it again
 
 
 class Growth:
@@ -109,6 +110,7 @@ class Growth:
                 self._enter("resume")
         elif isinstance(message, TrainingProgress) and message.job == record.job:
             self._heard = True
+            self._waited_s = 0.0
             if message.stage == "failed":
                 self.over = f"relearning failed: {message.text}"
 
@@ -157,7 +159,8 @@ class Growth:
         if self._recorder is None:
             self._recorder = MotionRecorder(record.muscles)
             self._bias_from, self._bias = self._bias, target.bias_n
-            speed_deg_s = SPEED_UP * arm.settings.control.joint_speed_deg_s
+            speed_deg_s = arm.settings.control.joint_speed_deg_s
+            speed_deg_s *= 1.0 if arm.drawn else SPEED_UP  # carefully by a drawing
             arm.go(np.array(target.angle_rad), np.array(target.floor_n), speed_deg_s)
         path = arm.path
         assert path is not None
@@ -197,7 +200,7 @@ class Growth:
         elif self._candidate is not None:
             yield from self._check(now_ns, self._candidate)
         elif self._waited_s > TRAIN_LIMIT_S:
-            self.over = f"no relearned schema within {TRAIN_LIMIT_S:.0f} s"
+            self.over = f"no word of a relearned schema for {TRAIN_LIMIT_S:.0f} s"
 
     def _job(self, now_ns: int) -> TrainingJob:
         record = self.record
