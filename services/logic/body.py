@@ -88,7 +88,7 @@ class Body:
 
     def watch(self, dt_s: float) -> None:
         """Start growing when a muscle has come, shrinking when one has gone for good."""
-        if not self.watchful or (self.schema_version == NONE and self.growth is None):
+        if not self.watchful or (self._arm.drawn and self.growth is None):
             return
         assert self._arm.schema is not None
         known, memory = self._arm.schema.muscles, self._notebook.memory
@@ -124,7 +124,7 @@ class Body:
             return record.n_new
         assert self._arm.schema is not None
         muscles = self._arm.schema.muscles
-        method = BY_WIRES if self.schema_version == NONE else method
+        method = BY_WIRES if self._arm.drawn else method
         self._begin("grow", muscles[-1], muscles, method, n_new)
         return n_new
 
@@ -250,7 +250,10 @@ class Body:
         memory.growth = record
         self.growth = self._procedure(record)
         words = {"grow": "takes in", "refit": "takes back", "shrink": "goes on without"}[kind]
-        self._tell("info", f"{kind}_started", f"the body {words} '{muscle}'", muscle=muscle)
+        text = f"the body {words} '{muscle}'"
+        if self.learns_first:
+            text = "the body learns its first schema, by its wires as they are drawn"
+        self._tell("info", f"{kind}_started", text, muscle=muscle)
 
     def _procedure(self, record: GrowthRecord) -> Growth:
         return Growth(record, self._arm, self._arm.settings.growth.residual_limit_mm)
@@ -278,6 +281,8 @@ class Body:
                 memory.known[name] = module.serial
             words = "lost" if record.kind == "shrink" else "taken in"
             text = f"the body schema has {words} '{name}'"
+            if record.base_version == NONE:
+                text = "the first body schema is learned"
             self._tell("info", f"{record.kind}_done", text, muscle=name)
         elif record.kind == "refit" and not cancelled and not self._is_gone(name):
             memory.known.pop(name, None)  # so that it is learned from the start
@@ -288,6 +293,8 @@ class Body:
             text = f"'{name}' is not taken in and the arm holds: {growth.over}"
             if record.kind == "shrink":
                 text = f"the schema keeps '{name}' and the arm holds: {growth.over}"
+            elif record.base_version == NONE:
+                text = f"no schema was learned and the arm holds: {growth.over}"
             self._tell("error", f"{record.kind}_failed", text, muscle=name)
         self._notebook.save()
 

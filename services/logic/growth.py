@@ -199,8 +199,8 @@ class Growth:
             self._collect(self.steps, "relearn")
         elif self._candidate is not None:
             yield from self._check(now_ns, self._candidate)
-        elif self._waited_s > TRAIN_LIMIT_S:
-            self.over = f"no word of a relearned schema for {TRAIN_LIMIT_S:.0f} s"
+        elif self._waited_s > TRAIN_LIMIT_S and record.base_version:  # a first schema can wait
+            self.over = f"no word of a relearned schema within {TRAIN_LIMIT_S:.0f} s"
 
     def _job(self, now_ns: int) -> TrainingJob:
         record = self.record

@@ -33,14 +33,14 @@ def targets(command: ChainCommand) -> dict[str, float]:
 def test_what_is_missing_is_said_in_words() -> None:
     arm, bench = Arm(SETTINGS, SKELETON), Bench()
     state, body = bench.arm._states["arm"], bench.arm._bodies["arm"]
-    assert arm.silent(bench.now_ns) == "waiting for a body schema"
-    arm.use(shipped())
     assert arm.silent(bench.now_ns) == "chain 'arm' is silent"
     arm.receive(state)
     assert arm.silent(bench.now_ns) == "chain 'arm' has not said who is plugged in"
     arm.receive(body)
     assert arm.silent(bench.now_ns) == "joint 'elbow' is silent"
     arm.receive(JointState(stamp_ns=bench.now_ns, joints=("elbow",), angle_rad=(0.5,)))
+    assert arm.silent(bench.now_ns) == "waiting for a body schema"
+    arm.use(shipped())
     assert arm.silent(bench.now_ns) == ""
     assert arm.silent(bench.now_ns + STALE_NS) == ""
     assert arm.silent(bench.now_ns + STALE_NS + 1) == "chain 'arm' is silent"

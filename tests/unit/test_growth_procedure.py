@@ -342,7 +342,7 @@ def test_no_candidate_within_the_limit_ends_it() -> None:
         list(run.growth.tick(run.bench.now_ns, 1.0))
         reasons.append(run.growth.over)
     assert reasons[round(TRAIN_LIMIT_S - run.seconds)] == ""
-    assert reasons[-1] == "no relearned schema within 180 s"
+    assert reasons[-1] == "no word of a relearned schema within 180 s"
 
 
 def test_a_retrainer_that_never_publishes_ends_it() -> None:
