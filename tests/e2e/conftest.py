@@ -231,9 +231,9 @@ class Command:
             self.process.send_signal(signal.SIGINT)
         return self.over()
 
-    def over(self) -> int:
+    def over(self, patience_s: float = 40.0) -> int:
         """It ends by itself; gives the exit code."""
-        code = self.process.wait(40)
+        code = self.process.wait(patience_s)
         self._reader.join(5)
         assert self.process.stdout is not None
         self.process.stdout.close()

@@ -15,10 +15,11 @@ from runtime.settings import load_robot
 from services.body_schema.schema import Schema
 from tests.e2e.conftest import Command, Watch, elbow
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(300)]
 
 NAME = "pupil"
 SPEED = "4"
+STARTS_S = 60.0  # on a machine that others use
 
 
 def test_a_robot_without_a_schema_learns_one(tmp_path: Path) -> None:
@@ -40,7 +41,7 @@ def test_a_robot_without_a_schema_learns_one(tmp_path: Path) -> None:
             killed = watch.mark()
             _, group = watch.wait_for(m.GroupState, since=0)
             os.kill(next(x.pid for x in group.processes if x.process == "executive"), 9)
-            watch.wait_event("growth_resumed", since=killed)
+            watch.wait_event("growth_resumed", since=killed, timeout_s=STARTS_S)
             _, again = watch.wait_for(m.ExecutiveState, lambda x: bool(x.growing), since=killed)
             assert again.step >= seen.step, "motions were collected again"
             assert first.end() == 130
@@ -50,7 +51,10 @@ def test_a_robot_without_a_schema_learns_one(tmp_path: Path) -> None:
     assert living_hubs() == [] and not out.exists()
 
     second = Command(*words)
-    assert second.over() == 0, "".join(second.lines)
+    try:
+        assert second.over(2 * STARTS_S) == 0, "".join(second.lines)
+    finally:
+        second.process.kill()
     schema = Schema.from_bytes((tmp_path / f"{NAME}.safetensors").read_bytes())
     assert schema.muscles == settings.muscles and schema.wires is not None
     figures = json.loads(out.read_text())
