@@ -95,7 +95,14 @@ def _demo(args: argparse.Namespace) -> int:
     start = time.monotonic()
     with ExitStack() as stack:
         session = stack.enter_context(
-            live_session(settings, speed=args.speed, seed=args.seed, run_dir=run_dir, say=print)
+            live_session(
+                settings,
+                speed=args.speed,
+                seed=args.seed,
+                run_dir=run_dir,
+                state_dir=run_dir / "state",
+                say=print,
+            )
         )
         print(
             f"'{settings.name}' is up after {time.monotonic() - start:.1f} s: "

@@ -10,6 +10,7 @@ from pathlib import Path
 from experiments.session import SessionError
 from runtime import messages as m
 from runtime.bus import Bus, Question
+from runtime.hubs import living_hubs, new_run_dir
 from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings
 from runtime.supervisor import Group
@@ -104,9 +105,11 @@ def live_session(
     speed: float,
     seed: int,
     run_dir: Path,
-    say: Callable[[str], None],
+    state_dir: Path | None = None,
+    park: bool = False,
+    say: Callable[[str], None] = lambda line: None,
 ) -> Iterator[LiveSession]:
-    """Start a new robot's whole group, talk to it, and stop it.
+    """Start a robot's whole group, talk to it, and stop it; `state_dir` as in `Group`.
 
     `say` takes a line meant for a person.
 
@@ -114,7 +117,7 @@ def live_session(
         SessionError: the group did not become ready.
         HubError: a robot of that name is running.
     """
-    group = Group(settings, speed=speed, seed=seed, run_dir=run_dir, state_dir=run_dir / "state")
+    group = Group(settings, speed=speed, seed=seed, run_dir=run_dir, state_dir=state_dir)
     try:
         group.start()
         with Bus(settings.name, "demo", endpoint=group.endpoint) as bus:
@@ -124,4 +127,27 @@ def live_session(
                 raise SessionError(f"{late} did not become ready; logs are in {run_dir / 'logs'}")
             yield LiveSession(settings, bus, speed, say)
     finally:
-        group.stop(park=False)
+        group.stop(park=park)
+
+
+@contextmanager
+def own_session(settings: RobotSettings, *, speed: float, seed: int) -> Iterator[LiveSession]:
+    """Talk to the robot if it runs on this host; else start it, as it was left, and park it.
+
+    Raises:
+        SessionError: its group did not become ready.
+    """
+    endpoint = next((hub.endpoint for hub in living_hubs() if hub.robot == settings.name), "")
+    if not endpoint:
+        run_dir = new_run_dir(settings.name)
+        with live_session(settings, speed=speed, seed=seed, run_dir=run_dir, park=True) as session:
+            yield session
+        return
+    with Bus(settings.name, "learn", endpoint=endpoint, listen="") as bus:
+        bus.subscribe(*WATCHED, every=True)
+        session = LiveSession(settings, bus, speed, say=lambda line: None)
+        try:
+            yield session
+        except KeyboardInterrupt:
+            session.ask(m.Task(name="park"))
+            raise

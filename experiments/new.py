@@ -28,7 +28,7 @@ class New:
       myograft new my_arm.xml
       myograft new my_hand.xml --out hand.toml --name hand
       myograft new humanoid.xml --fix-root
-      python -m experiments learn my_arm.toml && myograft up my_arm.toml
+      myograft learn my_arm.toml && myograft up my_arm.toml
     """
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
@@ -149,7 +149,7 @@ def _propose(args: argparse.Namespace, survey: Survey, name: str, out: Path, bod
     out.write_text(text, encoding="utf-8")
     load_robot(str(out))
     print(f"\nwrote {out}" + (f" and {body}" if survey.changes else ""))
-    print(f"next: python -m experiments learn {out}\n      myograft up {out}")
+    print(f"next: myograft learn {out}\n      myograft up {out}")
     return 0
 
 

@@ -30,7 +30,7 @@ def robot_file(
             "[robot]",
             f"name = {_quoted(name)}",
             f"body = {_quoted(body)}",
-            f"schema = {_quoted(name + '.safetensors')}  # python -m experiments learn THIS_FILE",
+            f"schema = {_quoted(name + '.safetensors')}  # myograft learn THIS_FILE",
             *_chains(chains),
             *_joints(chains, joints, rest),
             *_muscles(chains),

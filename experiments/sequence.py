@@ -129,7 +129,7 @@ def run_sequence(session: Session, trace: Trace, narrate: Narrate, spare: str = 
             candidates.append(message) if isinstance(message, m.SchemaCandidate) else None
         )
     )
-    progress = _GrowthProgress(narrate)
+    progress = GrowthProgress(narrate)
     session.watchers.append(progress.see)
     session.ask(m.Plug(muscle=spare))
     done = session.wait(_growth_over, GROWTH_LIMIT_S, "the body taking the muscle in")
@@ -197,7 +197,7 @@ def run_scored(session: Session, scorer: SweepScorer, task: str) -> None:
         raise SessionError(str(error)) from error
 
 
-class _GrowthProgress:
+class GrowthProgress:
     """Tells how far joining, collecting and relearning are."""
 
     def __init__(self, narrate: Narrate) -> None:
@@ -205,6 +205,7 @@ class _GrowthProgress:
         self._last: tuple[str, int] = ("", -1)
 
     def see(self, message: Message) -> None:
+        """Take in what comes by."""
         if isinstance(message, m.ExecutiveState) and message.growing:
             now = (message.stage, message.step)
             if now != self._last and message.stage != "relearn":

@@ -53,6 +53,7 @@ class Recipe:
 OLD = Recipe(steps=20_000, batch=128, rate=4e-3)
 NEW = Recipe(steps=3000, batch=32, rate=2e-3, passes=25)
 TEACH = Recipe(steps=1500, batch=32, rate=3e-3)  # the rest is for the last layer's least squares
+FIRST = Recipe(steps=6000, batch=64, rate=4e-3)  # of a network that knows nothing yet
 LESS = Recipe(steps=2000, batch=64, rate=2e-3)
 TAUGHT = 8192  # random (theta, f) that a teacher is asked about
 REPLAYED = 8192  # random (theta, f) that h_old is asked about

@@ -39,6 +39,7 @@ STALE_NS = 100_000_000  # sensor data older than this are silence
 LEASE_NS = 200_000_000
 FADE_S = 0.8
 FELT_S = 0.1  # time constant of what the model is found to be off by
+NO_SCHEMA = "waiting for a body schema"
 CORRECT_S = 0.5  # in which that comes into effect, or goes
 WIND_IN_M_S = 0.03  # a wire that hangs slack meanwhile
 
@@ -55,6 +56,7 @@ class Arm:
         self._asked: tuple[bytes, ...] = ()  # what the plan was made for
         self.excluded: set[str] = set()  # schema muscles that must not be relied on
         self.corrected = False  # whether lengths follow what the model is found to be off by
+        self.drawn = False  # the model is the body file's: lengths always follow
         self.guests = Guests(settings, skeleton)
         self._bodies: dict[str, ChainBody] = {}
         self._states: dict[str, ChainState] = {}
@@ -79,8 +81,6 @@ class Arm:
 
     def silent(self, now_ns: int) -> str:
         """What is missing to move the arm, in words; empty when nothing is."""
-        if self.schema is None:
-            return "waiting for a body schema"
         for chain in self.settings.chain:
             state = self._states.get(chain.name)
             if state is None or now_ns - state.stamp_ns > STALE_NS:
@@ -90,7 +90,7 @@ class Arm:
         for joint in self.settings.joints:
             if joint not in self._angles or now_ns - self._angles[joint][1] > STALE_NS:
                 return f"joint '{joint}' is silent"
-        return ""
+        return NO_SCHEMA if self.schema is None else ""
 
     @property
     def stopped(self) -> bool:
@@ -128,6 +128,7 @@ class Arm:
     def use(self, schema: BodyModel) -> None:
         """Control by this from now on; commands cross-fade."""
         self.schema = schema
+        self.drawn = False
         self.excluded &= set(schema.muscles)
         self.guests.take_in(schema.muscles)
         self.plan = None
@@ -211,7 +212,7 @@ class Arm:
         motions are collected, joints are measured, and targets follow what is found here. The
         length of a slack wire says nothing, and to follow it would pay out more: it is wound in.
         """
-        step = dt_s / CORRECT_S if self.corrected else -dt_s / CORRECT_S
+        step = dt_s / CORRECT_S if self.corrected or self.drawn else -dt_s / CORRECT_S
         self._correction = min(max(self._correction + step, 0.0), 1.0)
         if self._correction == 0.0:
             self._off_m.clear()

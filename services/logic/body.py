@@ -16,8 +16,11 @@ from runtime import messages as m
 from runtime.messages import Message
 from services.body_schema.schema import Schema, SchemaError
 from services.logic.arm import Arm
+from services.logic.drawing import drawn_wires
 from services.logic.growth import Growth, GrowthRecord, Target, spread_targets
 from services.logic.memory import Notebook
+from services.logic.relearning import BY_WIRES
+from services.logic.versions import NONE
 
 LOST_S = 0.5  # a muscle gone for longer than this is gone
 TORN_S = 1.5  # and one that carries nothing for longer than this, though it should, is torn
@@ -85,7 +88,7 @@ class Body:
 
     def watch(self, dt_s: float) -> None:
         """Start growing when a muscle has come, shrinking when one has gone for good."""
-        if not self.watchful:
+        if not self.watchful or (self._arm.drawn and self.growth is None):
             return
         assert self._arm.schema is not None
         known, memory = self._arm.schema.muscles, self._notebook.memory
@@ -107,11 +110,52 @@ class Body:
                 self._begin(kind, module.name, (*known, module.name))
                 return
 
-    def relearn(self, method: str, n_new: int) -> None:
-        """Collect motions anew and learn the same body again."""
+    def relearn(self, method: str, n_new: int) -> int:
+        """Collect motions anew and learn the same body again; or go on where that was paused.
+
+        Returns how many motions it learns from.
+        """
+        record = self._notebook.memory.growth
+        if record is not None:
+            record.paused = False
+            self.growth = self._procedure(record)
+            self._tell("info", "grow_started", "the body goes on learning its first schema")
+            self._notebook.save()
+            return record.n_new
         assert self._arm.schema is not None
         muscles = self._arm.schema.muscles
+        method = BY_WIRES if self._arm.drawn else method
         self._begin("grow", muscles[-1], muscles, method, n_new)
+        return n_new
+
+    @property
+    def learns_first(self) -> bool:
+        """Whether the growth that is under way is to bring the first schema."""
+        return self.growth is not None and self.growth.record.base_version == NONE
+
+    def draw(self) -> str:
+        """Begin by the wires that the body's file draws; what is missing for that, in words."""
+        felt = self._arm.felt()
+        for muscle in self._arm.settings.muscles:
+            if muscle not in felt:
+                return f"muscle '{muscle}' is not there"
+        model = drawn_wires(self._arm.settings, self._arm.angle_rad, felt)
+        self._arm.use(model)
+        self._arm.drawn = True
+        return ""
+
+    def pause(self) -> bool:
+        """Leave the first schema for later, if that is what is learned now."""
+        if not self.learns_first:
+            return False
+        assert self.growth is not None
+        self.growth.record.paused = True
+        self.growth = None
+        self._arm.corrected = False
+        text = "the first schema is left for later; 'myograft learn' goes on"
+        self._tell("info", "learning_paused", text)
+        self._notebook.save()
+        return True
 
     def cancel(self, reason: str) -> None:
         """End the growth that is under way, if one is."""
@@ -123,7 +167,7 @@ class Body:
         """Go on with the growth that a former executive was about."""
         memory = self._notebook.memory
         record = memory.growth
-        if record is None:
+        if record is None or record.paused:
             return
         record.restarts += 1
         if record.restarts > MAX_RESTARTS:
@@ -206,7 +250,10 @@ class Body:
         memory.growth = record
         self.growth = self._procedure(record)
         words = {"grow": "takes in", "refit": "takes back", "shrink": "goes on without"}[kind]
-        self._tell("info", f"{kind}_started", f"the body {words} '{muscle}'", muscle=muscle)
+        text = f"the body {words} '{muscle}'"
+        if self.learns_first:
+            text = "the body learns its first schema, by its wires as they are drawn"
+        self._tell("info", f"{kind}_started", text, muscle=muscle)
 
     def _procedure(self, record: GrowthRecord) -> Growth:
         return Growth(record, self._arm, self._arm.settings.growth.residual_limit_mm)
@@ -234,6 +281,8 @@ class Body:
                 memory.known[name] = module.serial
             words = "lost" if record.kind == "shrink" else "taken in"
             text = f"the body schema has {words} '{name}'"
+            if record.base_version == NONE:
+                text = "the first body schema is learned"
             self._tell("info", f"{record.kind}_done", text, muscle=name)
         elif record.kind == "refit" and not cancelled and not self._is_gone(name):
             memory.known.pop(name, None)  # so that it is learned from the start
@@ -244,6 +293,8 @@ class Body:
             text = f"'{name}' is not taken in and the arm holds: {growth.over}"
             if record.kind == "shrink":
                 text = f"the schema keeps '{name}' and the arm holds: {growth.over}"
+            elif record.base_version == NONE:
+                text = f"no schema was learned and the arm holds: {growth.over}"
             self._tell("error", f"{record.kind}_failed", text, muscle=name)
         self._notebook.save()
 

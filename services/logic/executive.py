@@ -16,7 +16,7 @@ from runtime import messages as m
 from runtime.logic import Store
 from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings
-from services.logic.arm import AUTHOR, Arm
+from services.logic.arm import AUTHOR, NO_SCHEMA, Arm
 from services.logic.body import Body
 from services.logic.hands import Hands
 from services.logic.memory import Notebook
@@ -88,7 +88,7 @@ class Executive:
         if isinstance(request, m.Reach):
             return self._start_reach(request)
         if isinstance(request, m.Relearn):
-            return self._start_relearn(request)
+            return self._start_relearn(request, now_ns)
         return Reply(ok=False, text=f"the executive does not know {type(request).__name__}")
 
     # ── out ───────────────────────────────────────────────────────────────────────────────────
@@ -103,6 +103,8 @@ class Executive:
         self._last_ns = now_ns
         self._ticks += 1
         silent = self.arm.silent(now_ns)
+        if silent == NO_SCHEMA and self.body.learns_first:
+            silent = self.body.draw()
         stage, text = "waiting", silent
         if not silent and self.arm.stopped:
             stage, text = "stopped", "stopped; clear with 'myograft reset'"
@@ -218,19 +220,23 @@ class Executive:
         self._notebook.save()
         return Reply(ok=True, text="on the way")
 
-    def _start_relearn(self, request: m.Relearn) -> Reply:
+    def _start_relearn(self, request: m.Relearn, now_ns: int) -> Reply:
         if self.body.growth is not None:
             return GROWING
-        if self.arm.schema is None or self._was_silent:
-            return Reply(ok=False, text="the arm cannot move now")
         if request.method not in m.METHODS or not 1 <= request.n_new <= 100:
             return Reply(ok=False, text=RELEARN)
-        self.body.relearn(request.method, request.n_new)
-        return Reply(ok=True, text=f"relearning from {request.n_new} motions")
+        silent = self.arm.silent(now_ns)
+        if silent == NO_SCHEMA:
+            silent = self.body.draw()
+        if silent:
+            return Reply(ok=False, text=f"the arm cannot move now: {silent}")
+        n_new = self.body.relearn(request.method, request.n_new)
+        return Reply(ok=True, text=f"relearning from {n_new} motions")
 
     def _cancel(self, name: str) -> Reply:
         memory = self._memory
-        self.body.cancel(f"cancelled by '{name}'")
+        if name != "park" or not self.body.pause():
+            self.body.cancel(f"cancelled by '{name}'")
         memory.task, memory.step = "", 0
         if self.arm.path is not None:
             memory.goal_rad = tuple(self.arm.reference_rad.tolist())

@@ -67,6 +67,7 @@ class GrowthRecord(msgspec.Struct):
     motions: list[Motion] = []
     job: str = ""
     restarts: int = 0
+    paused: bool = False  # until somebody asks for it again
 
 
 class Growth:
@@ -159,7 +160,8 @@ class Growth:
         if self._recorder is None:
             self._recorder = MotionRecorder(record.muscles)
             self._bias_from, self._bias = self._bias, target.bias_n
-            speed_deg_s = SPEED_UP * arm.settings.control.joint_speed_deg_s
+            speed_deg_s = arm.settings.control.joint_speed_deg_s
+            speed_deg_s *= 1.0 if arm.drawn else SPEED_UP  # carefully by a drawing
             arm.go(np.array(target.angle_rad), np.array(target.floor_n), speed_deg_s)
         path = arm.path
         assert path is not None
@@ -199,7 +201,7 @@ class Growth:
             self._collect(self.steps, "relearn")
         elif self._candidate is not None:
             yield from self._check(now_ns, self._candidate)
-        elif self._unheard_s > TRAIN_LIMIT_S:
+        elif self._unheard_s > TRAIN_LIMIT_S and record.base_version:  # a first schema can wait
             self.over = f"no word of a relearned schema for {TRAIN_LIMIT_S:.0f} s"
 
     def _job(self, now_ns: int) -> TrainingJob:

@@ -1,5 +1,6 @@
 """What the retrainer does for each kind of job: from a schema and motions to another schema.
 
+first   of a body that never learned: wires fitted about the drawing, and a network taught by them
 grow    by the paper's methods i, ii, iii, or by iv: wires are fitted on the skeleton, and the
 network is taught by them
 shrink  distilled without the muscle that went
@@ -17,10 +18,36 @@ from services.body_schema.fit_wires import USUAL, Beliefs, fit_wires
 from services.body_schema.motions import TrainingError, refit, reordered, stacked
 from services.body_schema.schema import Schema
 from services.body_schema.wires import WireModel
+from services.logic.drawing import untaught
+from services.logic.skeleton import Skeleton
 from services.logic.wiring import Wiring, nominal_paths
 
 EpochDone = Callable[[int, int, float, float, float], None]
 BY_WIRES = "iv"
+
+
+def first(job: TrainingJob, settings: RobotSettings, epoch_done: EpochDone) -> Schema:
+    """The first schema, from motions that were collected by the body file's nominal wires.
+
+    Raises:
+        TrainingError: the motions do not do.
+    """
+    from services.body_schema import train  # torch comes in with the first job
+
+    paths = nominal_paths(settings.body_file)
+    model = fitted(None, job.motions, job.muscles, settings, paths, job.seed)
+    range_rad = Skeleton(settings.body_file, settings.joints).range_rad
+    blank = untaught(model, range_rad, settings.control.tension_ceiling_n, job.seed)
+    taught = train.teach(
+        blank,
+        job.motions,
+        "",
+        model.lengths,
+        seed=job.seed,
+        recipe=train.FIRST,
+        progress=epoch_done,
+    )
+    return taught.with_wires(model.wires)
 
 
 def grown(base: Schema, job: TrainingJob, settings: RobotSettings, epoch_done: EpochDone) -> Schema:
@@ -75,7 +102,7 @@ def by_wires(
 
 
 def fitted(
-    base: Schema,
+    base: Schema | None,
     motions: Sequence[Motion],
     muscles: tuple[str, ...],
     settings: RobotSettings,
@@ -96,11 +123,11 @@ def fitted(
                 "or set the method of [growth] to iii"
             )
     geometry = Wiring(settings.body_file, settings.joints, {n: paths[n] for n in muscles})
-    theta = stacked([motion.angle_rad for motion in motions], len(base.joints))
+    theta = stacked([motion.angle_rad for motion in motions], len(settings.joints))
     f = stacked([motion.tension_n for motion in motions], len(muscles))
     length = stacked([motion.length_m for motion in motions], len(muscles))
     wires = fit_wires(geometry, theta, f, length, base, beliefs=beliefs, seed=seed)
-    return WireModel(wires, geometry, base.joints)
+    return WireModel(wires, geometry, settings.joints)
 
 
 def known_paths(base: Schema, settings: RobotSettings) -> dict[str, MusclePath]:

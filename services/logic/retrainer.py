@@ -30,8 +30,8 @@ from runtime.settings import RobotSettings
 from services.body_schema.growth import permuted
 from services.body_schema.motions import TrainingError
 from services.body_schema.schema import Schema, SchemaError
-from services.logic.relearning import grown, refitted, shrunk
-from services.logic.versions import CANDIDATE, REFUSED, USABLE, Version, Versions
+from services.logic.relearning import first, grown, refitted, shrunk
+from services.logic.versions import CANDIDATE, NONE, REFUSED, USABLE, Version, Versions
 
 PROGRESS_MESSAGES = 100  # at most, for one job
 
@@ -161,6 +161,8 @@ class Retrainer:
 
     def _work(self, job: TrainingJob) -> tuple[int, Callable[[_Run], Schema]]:
         """Number of the parent version, and what there is to do for a job."""
+        if job.kind == "grow" and job.base_version == NONE:
+            return NONE, lambda run: first(job, self._settings, run.epoch_done)
         base = self._versions.schema(job.base_version)
         if set(job.joints) != set(base.joints):
             raise TrainingError(f"the schema's joints are {', '.join(base.joints)}")

@@ -17,6 +17,7 @@ from runtime.logic import Store
 from services.body_schema.schema import Schema, SchemaError
 
 SHIPPED, CANDIDATE, ADOPTED, REFUSED = "shipped", "candidate", "adopted", "refused"
+NONE = 0  # the version before the first: what the body's file draws
 USABLE = (SHIPPED, ADOPTED)
 
 _NAME = re.compile(r"v(\d{4,})")

@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -194,6 +195,49 @@ def running(
             yield robot
     finally:
         group.stop(park=False)
+
+
+class Command:
+    """`myograft WORDS` in a process of its own, and what it prints."""
+
+    def __init__(self, *words: str) -> None:
+        self.lines: list[str] = []
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "runtime.cli.main", *words],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self._news = threading.Condition()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            with self._news:
+                self.lines.append(line)
+                self._news.notify_all()
+
+    def wait_line(self, words: str, count: int = 1) -> None:
+        with self._news:
+            said = self._news.wait_for(
+                lambda: sum(words in line for line in self.lines) >= count, 2 * PATIENCE_S
+            )
+        assert said, f"'{words}' was never said, but:\n{''.join(self.lines)}"
+
+    def end(self) -> int:
+        """Ctrl-C; gives the exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        return self.over()
+
+    def over(self, patience_s: float = 40.0) -> int:
+        """It ends by itself; gives the exit code."""
+        code = self.process.wait(patience_s)
+        self._reader.join(5)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+        return code
 
 
 def elbow(folder: Path, name: str, steps: int = 16) -> RobotSettings:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
-import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 
@@ -16,7 +12,7 @@ from runtime import messages as m
 from runtime.bus import Bus
 from runtime.hubs import find_hub, living_hubs
 from runtime.messages import Message, Reply
-from tests.e2e.conftest import PATIENCE_S, Watch, elbow
+from tests.e2e.conftest import Command, Watch, elbow
 
 pytestmark = pytest.mark.e2e
 
@@ -24,47 +20,8 @@ NAMES = ("castor", "pollux")
 STILL_RAD = np.radians(3.0)
 
 
-class Up:
-    """`myograft up` in a process of its own, and what it prints."""
-
-    def __init__(self, *arguments: str) -> None:
-        self.lines: list[str] = []
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "runtime.cli.main", "up", *arguments],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        self._news = threading.Condition()
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            with self._news:
-                self.lines.append(line)
-                self._news.notify_all()
-
-    def wait_line(self, words: str, count: int = 1) -> None:
-        with self._news:
-            said = self._news.wait_for(
-                lambda: sum(words in line for line in self.lines) >= count, 2 * PATIENCE_S
-            )
-        assert said, f"'{words}' was never said, but:\n{''.join(self.lines)}"
-
-    def end(self) -> int:
-        """Ctrl-C; gives the exit code."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
-        code = self.process.wait(40)
-        self._reader.join(5)
-        assert self.process.stdout is not None
-        self.process.stdout.close()
-        return code
-
-
 class Fleet:
-    def __init__(self, up: Up, buses: dict[str, Bus], watches: dict[str, Watch]) -> None:
+    def __init__(self, up: Command, buses: dict[str, Bus], watches: dict[str, Watch]) -> None:
         self.up = up
         self.watches = watches
         self._buses = buses
@@ -77,7 +34,7 @@ class Fleet:
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
     folder = tmp_path_factory.mktemp("fleet")
     files = [elbow(folder, name).file for name in NAMES]
-    up = Up(*files)
+    up = Command("up", *files)
     try:
         up.wait_line("viz ready", count=2)
         with ExitStack() as stack:

@@ -34,8 +34,6 @@ def targets(command: ChainCommand) -> dict[str, float]:
 def test_what_is_missing_is_said_in_words() -> None:
     arm, bench = Arm(SETTINGS, SKELETON), Bench()
     state, body = bench.arm._states["arm"], bench.arm._bodies["arm"]
-    assert arm.silent(bench.now_ns) == "waiting for a body schema"
-    arm.use(shipped())
     assert arm.silent(bench.now_ns) == "chain 'arm' is silent"
     arm.receive(state)
     assert arm.silent(bench.now_ns) == "chain 'arm' has not said who is plugged in"
@@ -44,6 +42,8 @@ def test_what_is_missing_is_said_in_words() -> None:
     arm.receive(
         JointState(stamp_ns=bench.now_ns, source="arm", joints=("elbow",), angle_rad=(0.5,))
     )
+    assert arm.silent(bench.now_ns) == "waiting for a body schema"
+    arm.use(shipped())
     assert arm.silent(bench.now_ns) == ""
     assert arm.silent(bench.now_ns + STALE_NS) == ""
     assert arm.silent(bench.now_ns + STALE_NS + 1) == "chain 'arm' is silent"

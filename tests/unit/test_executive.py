@@ -160,7 +160,7 @@ def test_nothing_can_be_reached_before_the_arm_is_heard() -> None:
     assert executive.answer(m.Task(name="hold"), 0).ok
     (state,) = [x for t in (10, 20) for x in executive.tick(t * 1_000_000)]
     assert isinstance(state, m.ExecutiveState)
-    assert (state.stage, state.text) == ("waiting", "waiting for a body schema")
+    assert (state.stage, state.text) == ("waiting", "chain 'arm' is silent")
 
 
 def test_park_ends_a_task_and_goes_to_rest(robot: Robot) -> None:
