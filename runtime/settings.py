@@ -120,6 +120,7 @@ class TaskPath(_Table, frozen=True, kw_only=True):
     payload: str = ""  # what is carried ...
     grasp_at: int = 0  # ... from this target on (the first is 1), once the arm has settled there
     release_at: int = 0  # ... to this one
+    back: str = ""  # the task that brings it back to where this one takes it
 
 
 class Simulation(_Table, frozen=True, kw_only=True):
