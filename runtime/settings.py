@@ -194,7 +194,8 @@ class RobotSettings(_Table, frozen=True, kw_only=True):
     @property
     def alike(self) -> tuple[str, ...]:
         """The muscles in the same role as the first spare, itself last."""
-        return tuple(x.name for x in (*self.muscle, *self.spare) if x.role == self.role)
+        rows: tuple[Muscle | Spare, ...] = (*self.muscle, *self.spare)
+        return tuple(row.name for row in rows if row.role == self.role)
 
 
 ROBOTS = Path(__file__).parent.parent / "deploy" / "robots"
