@@ -23,7 +23,7 @@ FREEDOM = 4.0  # of Student's t: a residual of three times the usual one counts 
 FINEST_M = 1e-5  # no length sensor is trusted beyond this, whatever a schema says of itself
 ROUNDS = 5
 LONGEST_RAD = 0.2  # step of a joint in one round: further the network is not straight
-DONE_RAD = 1e-4
+DONE_RAD = 0.01  # a shorter step is the last: what it leaves goes with its square, 1e-4 rad or so
 
 
 class Posture(NamedTuple):
@@ -50,7 +50,8 @@ def posture(schema: Schema, f: Array, length: Array) -> Posture:
         weighted = slope.T * _weights(residual)
         information = weighted @ slope
         information.flat[:: len(theta) + 1] += vague
-        step = np.linalg.solve(information, weighted @ residual + vague * (start - theta))
+        covariance = np.linalg.inv(information)
+        step = covariance @ (weighted @ residual + vague * (start - theta))
         step = np.minimum(np.maximum(step, -LONGEST_RAD), LONGEST_RAD)
         theta = theta + step
         if np.abs(step).max() < DONE_RAD:
@@ -61,8 +62,7 @@ def posture(schema: Schema, f: Array, length: Array) -> Posture:
     residual = (length - predicted) / sigma
     freedom = max(1, len(f) - len(theta))
     level = max(1.0, float(residual @ residual) / freedom)
-    variance = level * np.linalg.inv(information).diagonal()
-    return Posture(theta, np.sqrt(variance), predicted, residual)
+    return Posture(theta, np.sqrt(level * covariance.diagonal()), predicted, residual)
 
 
 def _weights(residual: Array) -> Array:
