@@ -32,7 +32,9 @@ check: setup  ## format, lint, types, floors
 	$(BIN)/lint-imports
 
 test: check  ## check, then every test
-	$(BIN)/pytest --quiet --durations=10
+	OMP_NUM_THREADS=1 $(BIN)/pytest --quiet --durations=5 --numprocesses 2 --dist loadfile \
+		tests/unit tests/contracts
+	$(BIN)/pytest --quiet --durations=5 tests/integration tests/e2e
 
 format: setup  ## put the code into shape
 	$(BIN)/ruff check --fix .
