@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import numpy as np
@@ -56,6 +56,10 @@ def hold(watch: Watch) -> None:
     watch.wait_for(m.ExecutiveState, lambda x: x.stage == "hold" and x.settled, since=watch.mark())
 
 
+def by(process: str) -> Callable[[m.Health], bool]:
+    return lambda health: health.process == process
+
+
 def test_a_command_to_one_moves_no_other(fleet: Fleet) -> None:
     castor, pollux = (fleet.watches[name] for name in NAMES)
     hold(castor)
@@ -84,6 +88,8 @@ def test_neither_hears_the_other(fleet: Fleet) -> None:
     for name, watch in fleet.watches.items():
         table = watch.last(m.GroupState).processes
         pids[name] = {row.process: row.pid for row in table}
+        for process in pids[name]:  # the retrainer is nice, and slow to warm up
+            watch.wait_for(m.Health, by(process), since=0)
         told = {(x.process, x.pid) for x in watch.of(m.Health) if x.process != "supervisor"}
         assert told == set(pids[name].items())
         stamps = [x.stamp_ns for x in watch.of(m.WorldTruth)]
