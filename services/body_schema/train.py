@@ -29,7 +29,7 @@ from services.body_schema.network import (
     Weights,
     initial_weights,
 )
-from services.body_schema.polish import polished
+from services.body_schema.polish import calmed, polished
 from services.body_schema.schema import Schema
 from services.body_schema.train_network import Trainee, losses_and_slope
 
@@ -175,6 +175,7 @@ def teach(
     share = rng.uniform(size=(TAUGHT, len(start.muscles))) ** 2
     tension = SLACK_N + share * (strong - SLACK_N)
     answers = teacher(asked, tension)
+    start = calmed(start, asked, tension, answers)  # h_old's last layer may have been polished
     lesson = _scaled(start, asked, tension, answers)
     taught = replace(start, weights=_train(start, lesson, None, recipe, seed, progress))
     if polish:
@@ -204,6 +205,7 @@ def distil(
             start = shrink(start, muscle)
     kept = [old.muscles.index(muscle) for muscle in start.muscles]
     theta, f, length = _replay(old, np.random.default_rng(seed))
+    start = calmed(start, theta, f[:, kept], length[:, kept])
     data = _scaled(start, theta, f[:, kept], length[:, kept])
     weights = _train(start, data, None, recipe, seed, progress)
     return replace(start, weights=weights)

@@ -9,7 +9,7 @@ import pytest
 
 from services.body_schema.motions import TrainingError
 from services.body_schema.network import ANGLES, LENGTHS, TENSIONS, Array
-from services.body_schema.polish import polished
+from services.body_schema.polish import calmed, polished
 from services.body_schema.schema import Schema
 from services.body_schema.train import Recipe, teach
 from tests.unit import analytic_body as body
@@ -133,13 +133,29 @@ def test_a_pupils_residuals_are_those_on_the_motions(taught: Schema) -> None:
 STILL = Recipe(steps=1, batch=8192, rate=0.0)  # descent changes nothing
 
 
-def test_without_polish_only_descent_changes_the_network() -> None:
+def test_without_polish_the_pupil_keeps_its_hidden_layers() -> None:
     motions = body.spread_motions(1, 0)
     pupil = teach(old(), motions, NEW, body.lengths, recipe=STILL, polish=False)
-    theta, f, _ = body.random_data(50, 4, seed=21)
-    np.testing.assert_allclose(
-        pupil.lengths(theta, f)[:, :3], old().lengths(theta, f[:, :3]), atol=1e-6
-    )
+    for (w, _), (w_old, _) in zip(pupil.weights[1:-2], old().weights[1:-2], strict=True):
+        np.testing.assert_allclose(w[: len(w_old), : len(w_old[0])], w_old, atol=1e-6)
+
+
+def test_taught_again_and_again_a_pupil_stays_as_good(taught: Schema) -> None:
+    motions = body.spread_motions(3, 0)
+    theta, f, length = body.random_data(400, 4, seed=21)
+    first = rms(taught.lengths(theta, f) - length)
+    again = taught
+    for seed in (1, 2):
+        again = teach(again, motions, "", body.lengths, seed=seed, recipe=SHORT)
+    assert rms(again.lengths(theta, f) - length).mean() < 1.2 * first.mean()
+
+
+def test_calmed_a_last_layer_is_small_again() -> None:
+    after = polished(blank(), THETA, F, LENGTH)
+    calm = calmed(after, THETA, F, LENGTH)
+    assert np.abs(calm.weights[-1][0]).max() < 0.1 * np.abs(after.weights[-1][0]).max()
+    usual = rms(LENGTH - LENGTH.mean(axis=0))
+    assert (rms(calm.lengths(THETA, F) - LENGTH) < 0.8 * usual).all()
 
 
 def test_without_copy_the_weights_of_h_old_do_not_matter() -> None:
