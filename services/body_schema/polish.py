@@ -51,7 +51,8 @@ def calmed(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
     h = np.vstack(list(_entering(schema, targets, MASKS)))
     gram = h.T @ h / len(h) + CALM * np.eye(h.shape[1])
     wanted = h.T @ np.tile(targets, (len(MASKS), 1)) / len(h)
-    return _with_last(schema, np.linalg.solve(gram, wanted).T)
+    rows: Array = np.linalg.solve(gram, wanted).T
+    return _with_last(schema, rows)
 
 
 def _entering(schema: Schema, targets: Array, masks: tuple[Mask, ...]) -> Iterator[Array]:
