@@ -51,7 +51,7 @@ def calmed(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
     h = np.vstack(list(_entering(schema, targets, MASKS)))
     gram = h.T @ h / len(h) + CALM * np.eye(h.shape[1])
     wanted = h.T @ np.tile(targets, (len(MASKS), 1)) / len(h)
-    rows: Array = np.linalg.solve(gram, wanted).T
+    rows = np.asarray(np.linalg.solve(gram, wanted).T, dtype=np.float64)
     return _with_last(schema, rows)
 
 
