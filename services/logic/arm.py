@@ -90,7 +90,11 @@ class Arm:
         for joint in self.settings.joints:
             if joint not in self._angles or now_ns - self._angles[joint][1] > STALE_NS:
                 return f"joint '{joint}' is silent"
-        return NO_SCHEMA if self.schema is None else ""
+        if self.schema is None:
+            there = self.felt()
+            missing = [name for name in self.settings.muscles if name not in there]
+            return f"muscle '{missing[0]}' is not there" if missing else NO_SCHEMA
+        return ""
 
     @property
     def stopped(self) -> bool:

@@ -133,16 +133,11 @@ class Body:
         """Whether the growth that is under way is to bring the first schema."""
         return self.growth is not None and self.growth.record.base_version == NONE
 
-    def draw(self) -> str:
-        """Begin by the wires that the body's file draws; what is missing for that, in words."""
-        felt = self._arm.felt()
-        for muscle in self._arm.settings.muscles:
-            if muscle not in felt:
-                return f"muscle '{muscle}' is not there"
-        model = drawn_wires(self._arm.settings, self._arm.angle_rad, felt)
-        self._arm.use(model)
-        self._arm.drawn = True
-        return ""
+    def draw(self) -> None:
+        """Begin by the wires that the body's file draws; for an arm that lacks nothing else."""
+        arm = self._arm
+        arm.use(drawn_wires(arm.settings, arm.angle_rad, arm.felt()))
+        arm.drawn = True
 
     def pause(self) -> bool:
         """Leave the first schema for later, if that is what is learned now."""

@@ -104,7 +104,8 @@ class Executive:
         self._ticks += 1
         silent = self.arm.silent(now_ns)
         if silent == NO_SCHEMA and self.body.learns_first:
-            silent = self.body.draw()
+            self.body.draw()
+            silent = ""
         stage, text = "waiting", silent
         if not silent and self.arm.stopped:
             stage, text = "stopped", "stopped; clear with 'myograft reset'"
@@ -227,8 +228,8 @@ class Executive:
             return Reply(ok=False, text=RELEARN)
         silent = self.arm.silent(now_ns)
         if silent == NO_SCHEMA:
-            silent = self.body.draw()
-        if silent:
+            self.body.draw()
+        elif silent:
             return Reply(ok=False, text=f"the arm cannot move now: {silent}")
         n_new = self.body.relearn(request.method, request.n_new)
         return Reply(ok=True, text=f"relearning from {n_new} motions")

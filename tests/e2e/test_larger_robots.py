@@ -44,7 +44,8 @@ def test_a_larger_robot_moves_and_takes_a_module_in(name: str, tmp_path: Path) -
             m.ExecutiveState, lambda x: x.stage == "collect", since=since, timeout_s=LIMIT_S
         )
         assert collects.growing == spare.name
-        felt = watch.last(m.ChainState, lambda x: x.chain == spare.chain)
-        assert spare.name in felt.muscles
+        watch.wait_for(
+            m.ChainState, lambda x: spare.name in x.muscles, since=since, timeout_s=LIMIT_S
+        )
         peak_n = max(watch.last(m.WorldTruth).peak_tension_n)
         assert peak_n < settings.module.tension_limit_n

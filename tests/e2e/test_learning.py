@@ -1,4 +1,4 @@
-"""`myograft learn` as its user has it: killed, interrupted, asked again, and the robot reaches."""
+"""`myograft learn` as its user has it: its executive is killed, and it goes on to the end."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def test_a_robot_without_a_schema_learns_one(tmp_path: Path) -> None:
     lines[row] = f'schema = "{NAME}.safetensors"'
     file.write_text("\n".join(lines))
     settings, out = load_robot(str(file)), tmp_path / "learned.json"
-    words = ("learn", str(file), "--motions", "4", "--speed", SPEED, "--json", str(out))
+    words = ("learn", str(file), "--motions", "3", "--speed", SPEED, "--json", str(out))
 
-    first = Command(*words)
+    learning = Command(*words)
     try:
-        first.wait_line("is up")
+        learning.wait_line("is up")
         with Bus(NAME, "test", endpoint=find_hub(NAME).endpoint) as bus, Watch(bus) as watch:
             _, seen = watch.wait_for(
                 m.ExecutiveState, lambda x: x.stage == "collect" and x.step >= 1, since=0
@@ -44,17 +44,9 @@ def test_a_robot_without_a_schema_learns_one(tmp_path: Path) -> None:
             watch.wait_event("growth_resumed", since=killed, timeout_s=STARTS_S)
             _, again = watch.wait_for(m.ExecutiveState, lambda x: bool(x.growing), since=killed)
             assert again.step >= seen.step, "motions were collected again"
-            assert first.end() == 130
-            assert "learning_paused" in [event.kind for event in watch.events(killed)]
+        assert learning.over(2 * STARTS_S) == 0, "".join(learning.lines)
     finally:
-        first.process.kill()
-    assert living_hubs() == [] and not out.exists()
-
-    second = Command(*words)
-    try:
-        assert second.over(2 * STARTS_S) == 0, "".join(second.lines)
-    finally:
-        second.process.kill()
+        learning.process.kill()
     schema = Schema.from_bytes((tmp_path / f"{NAME}.safetensors").read_bytes())
     assert schema.muscles == settings.muscles and schema.wires is not None
     figures = json.loads(out.read_text())
