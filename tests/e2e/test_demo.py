@@ -16,7 +16,7 @@ from runtime.settings import load_robot
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(300)]
 
-SPEED = "2"
+SPEED = "3"
 E_THETA_RAD = 0.025  # before growing
 WORSE = 1.25  # what growing may make of it
 SPREAD = 0.6  # what growing must make of the flexors' spread of tension

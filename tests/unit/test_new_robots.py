@@ -22,7 +22,7 @@ from runtime.settings import load_robot
 from services.body_schema.train import OLD, train_old
 
 BODIES = Path(__file__).parent.parent / "bodies"
-MOTION_S, STEPS = 60.0, 3000
+MOTION_S, STEPS = 45.0, 2000
 TAUT_N = 4.0
 TARGETS = 3
 
