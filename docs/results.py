@@ -14,7 +14,6 @@ from typing import Any
 from experiments import arm, elbow, lift
 from experiments.ablate import ABLATIONS
 from experiments.against import against_table
-from experiments.comparison import LEARNING
 from experiments.plots import draw_over_n
 from experiments.statistics import by_seed
 from experiments.tables import markdown_table, ordering_lines
@@ -39,8 +38,7 @@ def render(name: str) -> str:
     runs = _runs(name)
     told = [measure for measure in MEASURES[name] if by_seed(runs, measure.figure)]
     tables = [markdown_table(measure, runs) for measure in told]
-    compared = [measure for measure in told if measure is not LEARNING]
-    tables += filter(None, [against_table(measure, runs) for measure in compared])
+    tables += filter(None, [against_table(measure, runs) for measure in told[:2]])
     claimed = [measure for measure in told if measure.claims]
     orders = [
         line

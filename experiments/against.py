@@ -29,7 +29,8 @@ def against_table(measure: Measure, runs: Iterable[Run], ours: str = OURS) -> st
     }
     variants = list(dict.fromkeys(cell.variant for cell in cells))
     columns = sorted({cell.n_new for cell in cells if cell.method == ours})
-    head = [f"{measure.title}: {ours} less the best of {', '.join(THEIRS)}"]
+    tried = [name for name in THEIRS if any(cell.method == name for cell in cells)]
+    head = [f"{measure.title}: {ours} less the best of {', '.join(tried)}"]
     rows = [[*head, *(f"N={n}" for n in columns)]]
     for variant in variants:
         told = [_told(measure, cells, Cell(variant, CONTROL, ours, n)) for n in columns]
