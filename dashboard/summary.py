@@ -99,18 +99,18 @@ def draw_summary(
 
 
 def _mark(top: Axes, bottom: Axes, marks: Sequence[tuple[float, str]]) -> None:
-    """A hairline through both plots for each mark, named above; close names go a step up."""
+    """A hairline through both plots for each mark, named above; close names go up by steps."""
     start, end = top.get_xlim()
     if len(marks) > 1:
         for axes in (top, bottom):
             axes.axvspan(marks[0][0], marks[-1][0], color="#f5f2ea", lw=0, zorder=0)
-    free_from = [start, start]  # on each of the two levels
+    free_from = [start] * 3  # on each level
     for time, name in marks:
         for axes in (top, bottom):
             axes.axvline(time, color=INK, lw=0.8, ls=(0, (2, 2)), alpha=0.7)
         width = (0.8 + len(name)) * 0.0115 * (end - start)
         left = time - width / 2.0
-        level = 0 if left >= free_from[0] else 1
+        level = next((k for k, free in enumerate(free_from) if left >= free), len(free_from) - 1)
         free_from[level] = left + width
         top.annotate(
             name,
