@@ -1,8 +1,7 @@
 """Write docs/science.md's tables and pictures from docs/results/*.json: `python -m docs.results`.
 
-Each JSON is what `python -m experiments NAME --json FILE` wrote: every single run. What belongs to
-one experiment may lie in several: `elbow.json`, `elbow-variants.json`. What `ablate` found is told,
-not drawn.
+Each JSON is what `python -m experiments NAME --json FILE` wrote: every single run. What was found
+by `ablate` and on variants is told, not drawn.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ PAGE = HERE / "science.md"
 EXPERIMENTS = {"elbow": elbow, "arm": arm, "lift": lift}
 MEASURES = {
     **{name: module.MEASURES for name, module in EXPERIMENTS.items()},
+    "elbow-variants": elbow.MEASURES[:2],
     **{f"ablate-{name}": ablation.measures for name, ablation in ABLATIONS.items()},
 }
 
 
-def results(name: str) -> list[Path]:
+def results(name: str) -> Path:
     """The committed results of one experiment."""
-    folder = HERE / "results"
-    return sorted([*folder.glob(f"{name}.json"), *folder.glob(f"{name}-*.json")])
+    return HERE / "results" / f"{name}.json"
 
 
 def render(name: str) -> str:
@@ -53,7 +52,7 @@ def with_results(page: str) -> str:
     """The page with all results between their markers."""
     for name in MEASURES:
         begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-        if begin in page and results(name):
+        if begin in page and results(name).exists():
             before, _, rest = page.partition(begin)
             page = f"{before}{begin}\n{render(name)}\n{end}{rest.partition(end)[2]}"
     return page
@@ -77,12 +76,11 @@ def draw(name: str) -> list[Path]:
 
 
 def _runs(name: str) -> list[Any]:
-    told = [json.loads(file.read_text(encoding="utf-8")) for file in results(name)]
-    return [run for one in told for run in one["runs"]]
+    return list(json.loads(results(name).read_text(encoding="utf-8"))["runs"])
 
 
 if __name__ == "__main__":
     PAGE.write_text(with_results(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     for experiment in EXPERIMENTS:
-        if results(experiment):
+        if results(experiment).exists():
             draw(experiment)

@@ -30,7 +30,8 @@ def against_table(measure: Measure, runs: Iterable[Run], ours: str = OURS) -> st
     variants = list(dict.fromkeys(cell.variant for cell in cells))
     columns = sorted({cell.n_new for cell in cells if cell.method == ours})
     tried = [name for name in THEIRS if any(cell.method == name for cell in cells)]
-    head = [f"{measure.title}: {ours} less the best of {', '.join(tried)}"]
+    theirs = f"the best of {', '.join(tried)}" if len(tried) > 1 else "".join(tried)
+    head = [f"{measure.title}: {ours} less {theirs}"]
     rows = [[*head, *(f"N={n}" for n in columns)]]
     for variant in variants:
         told = [_told(measure, cells, Cell(variant, CONTROL, ours, n)) for n in columns]
