@@ -52,9 +52,9 @@ pictures: setup  ## the documents' pictures and tables, made anew
 experiments: setup  ## repeat the experiments; hours, and it goes on where it stopped
 	$(BIN)/python -m experiments elbow --json docs/results/elbow.json
 	$(BIN)/python -m experiments elbow --variants moved2,moved4,stiff,motor,soft,load \
-		--out $${XDG_STATE_HOME:-$$HOME/.local/state}/myograft/experiments/elbow-variants \
 		--json docs/results/elbow-variants.json
-	$(BIN)/python -m experiments arm --json docs/results/arm.json
+	$(BIN)/python -m experiments arm --variants clean,model,all --n-new 5,10,15,17,20,30 \
+		--json docs/results/arm.json
 	$(BIN)/python -m experiments lift --json docs/results/lift.json
 	$(BIN)/python -m experiments ablate elbow --seeds 5 --json docs/results/ablate-elbow.json
 	$(BIN)/python -m experiments ablate arm --seeds 5 --variants model --json docs/results/ablate-arm.json
