@@ -15,7 +15,7 @@ from runtime.settings import load_robot
 from services.body_schema.schema import Schema
 from tests.e2e.conftest import Command, Watch, elbow
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.timeout(300)
 
 NAME = "pupil"
 SPEED = "4"
