@@ -150,13 +150,15 @@ def _rows(settings: RobotSettings, result: Result) -> list[tuple[str, ...]]:
             paper.get(field, ""),
         )
 
-    return [
+    rows = [
         ("", "before", "after", "ratio", "paper"),
         row("E_theta", "rad", "e_theta_rad", 4),
         row("sigma_f", "N", "sigma_f_n", 2),
         row("peak tension", "N", "peak_tension_n", 1),
-        row("peak in role", "N", "role_peak_n", 1),
     ]
+    if settings.role:
+        rows.append(row("peak in role", "N", "role_peak_n", 1))
+    return rows
 
 
 def _print(settings: RobotSettings, result: Result, figures: dict[str, Any], wall_s: float) -> None:

@@ -91,7 +91,10 @@ def _learn(settings: RobotSettings, args: argparse.Namespace) -> int:
     from experiments.progress import bars
     from services.body_schema.schema import Schema
 
-    with own_session(settings, speed=args.speed, seed=args.seed) as session, bars() as narrate:
+    with (
+        own_session(settings, speed=args.speed, seed=args.seed, say=print) as session,
+        bars() as narrate,
+    ):
         print(f"'{settings.name}' is up; Ctrl-C parks it, the same command goes on", flush=True)
         version = learn_live(session, args.motions or settings.growth.n_new, narrate)
     schema = Schema.from_bytes(version.data)
@@ -125,6 +128,7 @@ def learn_live(session: Session, motions: int, narrate: Narrate) -> SchemaVersio
     from experiments.sequence import GrowthProgress
     from experiments.session import SessionError
     from runtime import messages as m
+    from services.logic.arm import NO_SCHEMA
 
     versions: list[m.SchemaVersion] = []
 
@@ -139,7 +143,7 @@ def learn_live(session: Session, motions: int, narrate: Narrate) -> SchemaVersio
     def ready(message: Message) -> bool:
         if not isinstance(message, m.ExecutiveState):
             return False
-        unlearned = not knows and message.text == "waiting for a body schema"
+        unlearned = not knows and message.text == NO_SCHEMA
         return unlearned or bool(message.growing) or message.stage == "hold"
 
     state = session.wait(ready, 60.0, "the arm holding")

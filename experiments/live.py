@@ -131,8 +131,12 @@ def live_session(
 
 
 @contextmanager
-def own_session(settings: RobotSettings, *, speed: float, seed: int) -> Iterator[LiveSession]:
+def own_session(
+    settings: RobotSettings, *, speed: float, seed: int, say: Callable[[str], None]
+) -> Iterator[LiveSession]:
     """Talk to the robot if it runs on this host; else start it, as it was left, and park it.
+
+    `say` takes a line meant for a person.
 
     Raises:
         SessionError: its group did not become ready.
@@ -140,12 +144,14 @@ def own_session(settings: RobotSettings, *, speed: float, seed: int) -> Iterator
     endpoint = next((hub.endpoint for hub in living_hubs() if hub.robot == settings.name), "")
     if not endpoint:
         run_dir = new_run_dir(settings.name)
-        with live_session(settings, speed=speed, seed=seed, run_dir=run_dir, park=True) as session:
+        with live_session(
+            settings, speed=speed, seed=seed, run_dir=run_dir, park=True, say=say
+        ) as session:
             yield session
         return
     with Bus(settings.name, "learn", endpoint=endpoint, listen="") as bus:
         bus.subscribe(*WATCHED, every=True)
-        session = LiveSession(settings, bus, speed, say=lambda line: None)
+        session = LiveSession(settings, bus, speed, say)
         try:
             yield session
         except KeyboardInterrupt:

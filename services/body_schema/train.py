@@ -157,7 +157,8 @@ def teach(
 ) -> Schema:
     """h_new as a pupil of somebody who knows l = teacher(theta, f), (B, N), (B, M) -> (B, M).
 
-    Weights are copied from h_old as in `relearn`, and `polish` solves for its last layer;
+    Weights are copied from h_old as in `relearn`, and the last layer, which may once have been
+    solved for, is calmed first (`polish.calmed`). `polish` solves for the last layer at the end;
     its usual residuals are those on the motions. The pupil is asked at random (theta, f), more
     often at low tension, where elements are soft.
 

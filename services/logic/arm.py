@@ -39,9 +39,9 @@ STALE_NS = 100_000_000  # sensor data older than this are silence
 LEASE_NS = 200_000_000
 FADE_S = 0.8
 FELT_S = 0.1  # time constant of what the model is found to be off by
-NO_SCHEMA = "waiting for a body schema"
 CORRECT_S = 0.5  # in which that comes into effect, or goes
 WIND_IN_M_S = 0.03  # a wire that hangs slack meanwhile
+NO_SCHEMA = "waiting for a body schema"
 
 
 class Arm:

@@ -202,7 +202,7 @@ class Executive:
     def _start_reach(self, request: m.Reach) -> Reply:
         if self.body.growth is not None:
             return GROWING
-        if not self._memory.goal_rad and self._was_silent:
+        if not self._memory.goal_rad and self._was_silent and self.arm.path is None:
             return Reply(ok=False, text="the arm cannot move now: it is not heard yet")
         goal = list(self._memory.goal_rad or self.arm.reference_rad.tolist())
         for name, angle in request.angle_rad.items():

@@ -109,7 +109,10 @@ class Watch:
                 left = deadline - time.monotonic()
                 if left <= 0.0:
                     said = "\n".join(e.text for e in self.events(since)[-8:])
-                    raise AssertionError(f"{what or kind.__name__} never came; but:\n{said}")
+                    last = (self.of(kind, since) or ["none"])[-1]
+                    raise AssertionError(
+                        f"{what or kind.__name__} never came; but:\n{said}\nthe last: {last}"
+                    )
                 self._news.wait(left)
 
     def wait_event(self, kind: str, *, since: int, timeout_s: float = PATIENCE_S) -> m.Event:

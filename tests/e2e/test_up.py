@@ -69,6 +69,7 @@ def test_a_command_to_one_moves_no_other(fleet: Fleet) -> None:
     goal_rad = float(np.radians(50.0))
     replies = fleet.ask("castor", m.Reach(angle_rad={"elbow": goal_rad}))
     assert len(replies) == 1, "one robot answers"
+    assert replies[0].ok, replies[0].text
     castor.wait_for(
         m.ExecutiveState,
         lambda x: x.settled and abs(x.reference_rad[0] - goal_rad) < 1e-3,

@@ -234,6 +234,16 @@ def test_when_a_chain_falls_silent_everything_waits_and_goes_on(robot: Robot) ->
     assert not [kind for kind in robot.kinds() if kind.startswith("shrink")]
 
 
+def test_a_posture_asked_for_in_a_short_silence_is_reached_after_it(robot: Robot) -> None:
+    robot.ask(m.Fault(kind="drop", target="arm", amount=1.0))
+    robot.rig.run(0.3)
+    assert robot.stage == "waiting"
+    assert robot.ask(m.Reach(angle_rad={"elbow": float(np.radians(30.0))})).ok
+    robot.ask(m.Fault(kind="drop", target="arm", amount=0.0))
+    robot.settle()
+    assert robot.angle_deg == pytest.approx(30.0, abs=1.5)
+
+
 # ── growing, cancelled ────────────────────────────────────────────────────────────────────────
 
 
