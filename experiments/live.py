@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from experiments.session import SessionError
+from experiments.session import HEARD, SessionError
 from runtime import messages as m
 from runtime.bus import Bus, Question
 from runtime.hubs import living_hubs, new_run_dir
@@ -19,17 +19,6 @@ PATIENCE_S = 20.0  # of wall time, in which robot time has to go on
 PACE_S = 0.02  # of wall time between two looks: arrivals by the thousand wake nobody
 SLOW = 0.8  # of the speed asked for: a machine that stays below for `SLOW_S` is told of
 SLOW_S = 5.0
-WATCHED = (
-    m.Clock,
-    m.ChainState,
-    m.JointState,
-    m.ExecutiveState,
-    m.Event,
-    m.TrainingProgress,
-    m.SchemaCandidate,
-    m.SchemaVersion,
-    m.WorldTruth,
-)
 
 
 class LiveSession:
@@ -121,7 +110,7 @@ def live_session(
     try:
         group.start()
         with Bus(settings.name, "demo", endpoint=group.endpoint) as bus:
-            bus.subscribe(*WATCHED, every=True)
+            bus.subscribe(*HEARD, every=True)
             if not group.wait_ready(60.0):
                 late = ", ".join(row.process for row in group.rows if row.state != "ready")
                 raise SessionError(f"{late} did not become ready; logs are in {run_dir / 'logs'}")
@@ -150,7 +139,7 @@ def own_session(
             yield session
         return
     with Bus(settings.name, "learn", endpoint=endpoint, listen="") as bus:
-        bus.subscribe(*WATCHED, every=True)
+        bus.subscribe(*HEARD, every=True)
         session = LiveSession(settings, bus, speed, say)
         try:
             yield session

@@ -6,8 +6,21 @@ from collections.abc import Callable
 from typing import Protocol
 
 from experiments.rig import Rig, RigTimeoutError
+from runtime import messages as m
 from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings
+
+HEARD: tuple[type[Message], ...] = (
+    m.Clock,
+    m.ChainState,
+    m.JointState,
+    m.ExecutiveState,
+    m.Event,
+    m.TrainingProgress,
+    m.SchemaCandidate,
+    m.SchemaVersion,
+    m.WorldTruth,
+)
 
 
 class SessionError(RuntimeError):
@@ -19,7 +32,7 @@ class Session(Protocol):
 
     Attributes:
         settings: its robot file.
-        watchers: each is called with every message that comes by.
+        watchers: each is called with every message that comes by and is one of `HEARD`.
     """
 
     settings: RobotSettings
@@ -67,6 +80,8 @@ class RigSession:
         return self._heard[0]
 
     def _hear(self, message: Message) -> None:
+        if type(message) not in HEARD:
+            return
         for watcher in self.watchers:
             watcher(message)
         if self._done is not None and not self._heard and self._done(message):

@@ -59,6 +59,7 @@ class Arm:
         self.drawn = False  # the model is the body file's: lengths always follow
         self.guests = Guests(settings, skeleton)
         self._bodies: dict[str, ChainBody] = {}
+        self._muscles: dict[str, ModuleInfo] = {}  # by name, the first on the chains
         self._states: dict[str, ChainState] = {}
         self._angles: dict[str, tuple[float, int]] = {}  # joint -> angle [rad], stamp
         self._off_m: dict[str, float] = {}  # length that is felt, less what the model says
@@ -78,6 +79,9 @@ class Arm:
                 self._angles[name] = (angle, message.stamp_ns)
         elif isinstance(message, ChainBody):
             self._bodies[message.chain] = message
+            self._muscles = {
+                x.name: x for x in reversed(list(self.modules())) if x.kind == "muscle"
+            }
 
     def silent(self, now_ns: int) -> str:
         """What is missing to move the arm, in words; empty when nothing is."""
@@ -121,7 +125,7 @@ class Arm:
 
     def module(self, muscle: str) -> ModuleInfo | None:
         """The module of one muscle, if a chain knows it."""
-        return next((m for m in self.modules() if m.kind == "muscle" and m.name == muscle), None)
+        return self._muscles.get(muscle)
 
     # ── moving ────────────────────────────────────────────────────────────────────────────────
 
