@@ -98,7 +98,7 @@ ARM_VARIANTS = {
 LIFT_VARIANTS = {
     "clean": Variant("h_old from the robot itself; nothing but the assembly error"),
     "model": Variant(
-        "h_old from a geometric model, sites 20 mm off, no friction",
+        "h_old from a geometric model, sites 20 mm off, no friction, refined on five motions",
         schema="musashi_w_model.safetensors",
     ),
 }
