@@ -17,6 +17,8 @@ from services.logic.muscle_driver import MuscleDriver
 from services.muscle_driver import OverSerial
 from tests.unit.driver_bench import MS, SETTINGS
 
+PATIENCE_S = 0.2  # of the terminal's thread, on a busy machine
+
 
 def test_urls() -> None:
     assert parse_link("sim:") is None
@@ -71,7 +73,7 @@ def link() -> Iterator[SerialLink]:
     chain = Chain("arm")
     chain.plug(JointModule(9, lambda: 0.5, 100, "elbow"))
     with PtyChain(chain) as terminal:
-        link = SerialLink(SerialPort(terminal.path, 3_000_000))
+        link = SerialLink(SerialPort(terminal.path, 3_000_000), timeout_s=PATIENCE_S)
         yield link
         link.close()
 
