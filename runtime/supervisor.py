@@ -108,6 +108,7 @@ class Group:
             pid=os.getpid(),
             endpoint=self.endpoint,
             run_dir=str(self.run_dir),
+            file=self.settings.file,
             started=datetime.now(UTC).isoformat(timespec="seconds"),
         )
         self._claim = Claim(hub)

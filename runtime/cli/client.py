@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 from runtime.bus import Bus, BusError, Question
+from runtime.cli.completion import completed_by, robots
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, UsageError
-from runtime.hubs import Hub, HubError, find_hub
+from runtime.hubs import Hub, HubError, find_hub, living_hubs
 from runtime.messages import Message, Reply
 
 M = TypeVar("M", bound=Message)
@@ -24,6 +25,11 @@ class Client:
         self.hub = hub
         self.bus = bus
         self.robot = hub.robot
+
+    @property
+    def alive(self) -> bool:
+        """The robot's group runs; of one on another host it is taken for granted."""
+        return not self.hub.pid or any(hub.endpoint == self.hub.endpoint for hub in living_hubs())
 
     def ask(self, message: Message, timeout_s: float | None = None) -> list[Reply]:
         """All replies, from everybody who serves this request."""
@@ -45,9 +51,11 @@ class Client:
 def add_robot_argument(parser: argparse.ArgumentParser, *, first: bool = False) -> None:
     """`--robot NAME`, as every command that talks to a robot has it; `first`: also as a word."""
     text = "which robot; not needed when one runs"
-    parser.add_argument("--robot", default="", metavar="NAME", help=text)
+    words = [parser.add_argument("--robot", default="", metavar="NAME", help=text)]
     if first:  # suppressed: when it is left out it must not undo --robot
-        parser.add_argument("robot", nargs="?", default=argparse.SUPPRESS, help=text)
+        words.append(parser.add_argument("robot", nargs="?", default=argparse.SUPPRESS, help=text))
+    for word in words:
+        completed_by(word, robots)
 
 
 def take_robot(args: argparse.Namespace, words: list[str]) -> str:
