@@ -15,6 +15,7 @@ import logging
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -142,6 +143,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--told-time", action="store_true", help="follow the bus's clock")
     parser.add_argument("--parent", type=int, default=0, help="pid of the supervisor")
     args = parser.parse_args(argv)
+    logging.Formatter.converter = time.gmtime  # as everything else that is recorded
     logging.basicConfig(
         level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(message)s"
     )

@@ -2,49 +2,46 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
-from runtime.hubs import HubError, find_hub, robot_home, state_home
+from runtime.hubs import HubError, find_hub, state_home
 from runtime.journal import About, Entry, about, read
 from runtime.messages import Message
+
+RECORDINGS = "messages*.mcap"
 
 
 class RunError(RuntimeError):
     """There is no such run, or it has left nothing of what is asked for; says what to do."""
 
 
-def find_run(what: str = "") -> Path:
+def find_run(what: str = "", holding: str = "*") -> Path:
     """The folder of a run.
 
     Args:
         what: a run's folder, a file in it, or a robot's name: the run that goes on, else its last.
             "" is the robot that runs, or the last run of all.
+        holding: files that must be in it, as a pattern; runs without are passed over.
 
     Raises:
         RunError: there is none.
     """
-    if what:
-        path = Path(what)
-        if path.is_dir():
-            return path
-        if path.is_file():
-            return path.parent
-    try:
-        hub = find_hub(what)
-    except HubError:
-        hub = None
-    if hub is not None and hub.run_dir:
-        return Path(hub.run_dir)
-    homes = [robot_home(what)] if what else sorted(state_home().glob("*"))
-    latest = [home / "runs" / "latest" for home in homes]
-    runs = sorted((link.resolve() for link in latest if link.is_dir()), key=lambda run: run.name)
-    if not runs:
-        whose = f"of {what!r}" if what else "of any robot"
-        raise RunError(
-            f"no run {whose} in {state_home()}: give a robot's name, a run's folder or a recording"
-        )
-    return runs[-1]
+    path = Path(what)
+    if what and path.exists():
+        return path if path.is_dir() else path.parent
+    runs = sorted(state_home().glob(f"{what or '*'}/runs/*Z"), key=lambda run: run.name)
+    with contextlib.suppress(HubError):
+        runs.append(Path(find_hub(what).run_dir))
+    for run in reversed(runs):
+        if any(run.glob(holding)):
+            return run
+    whose = f"of {what!r}" if what else "of any robot"
+    raise RunError(
+        f"no run {whose} in {state_home()} has left {holding}: give a robot's name, a run's folder "
+        f"or a recording"
+    )
 
 
 def recordings(what: str = "") -> list[Path]:
@@ -56,12 +53,12 @@ def recordings(what: str = "") -> list[Path]:
     if what.endswith(".mcap") and Path(what).is_file():
         return [Path(what)]
     if what.endswith((".mcap", ".rrd")):
-        raise RunError(f"there is no recording {what}; a run's messages are in its messages.mcap")
-    run = find_run(what)
-    found = sorted(run.glob("messages*.mcap"), key=lambda path: (len(path.name), path.name))
-    if not found:
-        raise RunError(f"no messages were recorded in {run}")
-    return found
+        raise RunError(f"there are no messages in {what}: a run's are in its messages.mcap")
+    found = find_run(what, RECORDINGS).glob(RECORDINGS)
+    files = sorted(found, key=lambda path: (len(path.name), path.name))
+    if not files:
+        raise RunError(f"no messages were recorded in {what}")
+    return files
 
 
 def read_all(files: list[Path], kinds: Collection[type[Message]] = ()) -> Iterator[Entry]:

@@ -285,6 +285,8 @@ class Group:
         while not (parking.over(time.monotonic()) or executive.state != "ready"):
             if self._hurry.wait(0.05):
                 return
+        how = "parked" if parking.parked else "not parked in time, stopped as it is"
+        self._say(f"{self.settings.name}: {how}")
 
     def _on_exit(self, child: Child, code: int) -> None:
         self._exits.put((child, code))

@@ -17,7 +17,8 @@ from runtime.cli.main import DONE, REFUSED, UsageError
 from runtime.runs import RunError, find_run
 
 LOOK_S = 0.2  # between two looks when following
-_TIME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}")
+_TIME = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)[,.](\d{3})")
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # some libraries colour a file, too
 
 
 class Line(NamedTuple):
@@ -51,7 +52,7 @@ class Logs:
     def run(self, args: argparse.Namespace) -> int:
         """Print, and follow."""
         try:
-            run = find_run(args.run)
+            run = find_run(args.run, "logs/*.log")
             logs = _open(run, args.process)
             lines = heapq.merge(*(list(log) for log in logs.values()), key=lambda line: line.time)
             for line in deque(lines, args.lines) if args.lines > 0 else lines:
@@ -83,9 +84,9 @@ class _Log:
     def __iter__(self) -> Iterator[Line]:
         *whole, self._begun = (self._begun + self._file.read()).split(b"\n")
         for raw in whole:
-            text = raw.decode(errors="replace")
+            text = _COLOUR.sub("", raw.decode(errors="replace"))
             if stamped := _TIME.match(text):
-                self._time = stamped.group()
+                self._time = " ".join(stamped.groups())
             yield Line(self._time, self._process, text)
 
 
