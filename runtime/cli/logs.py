@@ -10,7 +10,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 from runtime.cli.completion import completed_by, robots
 from runtime.cli.main import DONE, REFUSED, UsageError
@@ -76,18 +76,22 @@ class _Log:
     """One process's file; iterated, it gives the whole lines that have come since the last time."""
 
     def __init__(self, path: Path) -> None:
-        self._process = path.stem
-        self._file: BinaryIO = path.open("rb")
+        self._path = path
+        self._read = 0  # bytes
         self._time = ""
         self._begun = b""  # of a line that is not whole yet
 
     def __iter__(self) -> Iterator[Line]:
-        *whole, self._begun = (self._begun + self._file.read()).split(b"\n")
+        with self._path.open("rb") as file:
+            file.seek(self._read)
+            fresh = file.read()
+        self._read += len(fresh)
+        *whole, self._begun = (self._begun + fresh).split(b"\n")
         for raw in whole:
             text = _COLOUR.sub("", raw.decode(errors="replace"))
             if stamped := _TIME.match(text):
                 self._time = " ".join(stamped.groups())
-            yield Line(self._time, self._process, text)
+            yield Line(self._time, self._path.stem, text)
 
 
 def _open(run: Path, wanted: list[str], besides: dict[str, _Log] | None = None) -> dict[str, _Log]:
