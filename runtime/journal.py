@@ -76,6 +76,7 @@ class Journal:
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="myograft")
         self._writer.add_metadata(ABOUT, {"robot": robot, "robot_file": robot_file})
+        self._file.flush()
         self._channels: dict[str, int] = {}
         self._schemas: dict[type[Message], int] = {}
         self._flushed_ns = 0
