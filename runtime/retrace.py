@@ -25,6 +25,7 @@ from runtime.messages import Message, Steps
 from runtime.settings import RobotSettings
 
 ENTRY_POINTS = "myograft.logics"
+LATE_NS = 100_000_000  # an output's stamp may be so much older than the step that gave it
 KEPT = 4096  # messages of one key that may still be taken in: seconds more than a mailbox holds
 
 log = logging.getLogger(__name__)
@@ -61,7 +62,7 @@ class Report:
     invented: int = 0  # said, but not recorded
     unheard: int = 0  # taken in by the process, but not recorded
     lost_steps: int = 0  # steps that were not recorded
-    untold: int = 0  # outputs after the last recorded step
+    untold: int = 0  # recorded outputs of steps that were not
 
     @property
     def exact(self) -> bool:
@@ -105,6 +106,7 @@ class _Tracer:
         self._report = Report(process)
         self._due: Steps | None = None
         self._next = 0  # how many steps of this start of the process are known
+        self._spans: list[tuple[int, int]] = []  # robot time of which all steps are known
         self._inputs: dict[str, dict[int, Message]] = {}
         self._outputs: dict[Output, Message] = {}
 
@@ -127,10 +129,9 @@ class _Tracer:
         self._walk()
         report = self._report
         for _, stamp_ns in self._outputs:
-            if report.steps and stamp_ns <= report.end_ns:
-                report.silent += 1
-            else:
-                report.untold += 1
+            told = any(begin <= stamp_ns < end - LATE_NS for begin, end in self._spans)
+            report.silent += told
+            report.untold += not told
         return report
 
     def _walk(self) -> None:
@@ -141,10 +142,14 @@ class _Tracer:
         if steps.begin == 0 and report.steps:
             self._logic = self._make()
             self._next = 0
+        begin_ns, end_ns = steps.tick_ns[0], steps.tick_ns[-1]
+        if self._spans and steps.begin and steps.begin == self._next:
+            begin_ns = self._spans.pop()[0]
+        self._spans.append((begin_ns, end_ns))
         report.lost_steps += steps.begin - self._next
         self._next = steps.begin + len(steps.tick_ns)
-        report.begin_ns = report.begin_ns or steps.tick_ns[0]
-        report.end_ns = steps.tick_ns[-1]
+        report.begin_ns = report.begin_ns or begin_ns
+        report.end_ns = end_ns
         report.steps += len(steps.tick_ns)
         heard = zip(steps.heard_key, steps.heard_ns, strict=True)
         for now_ns, taken in zip(steps.tick_ns, steps.taken, strict=True):

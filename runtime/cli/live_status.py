@@ -18,6 +18,7 @@ from runtime.cli.status import Picture
 PERIOD_S = 0.25
 SILENT_S = 2.5  # the supervisor and every process speak once a second
 BAR = 12  # characters
+WIDE = 150  # characters: then processes stand beside modules
 WARM, HOT = 0.6, 0.85  # of a limit
 _LEVELS = {"info": "", "warning": "yellow", "error": "bold red"}
 _STATES = {"ready": "green", "up": "green", "starting": "yellow", "joining": "yellow"}
@@ -37,18 +38,27 @@ def watch(client: Client, picture: Picture) -> int:
         try:
             while client.alive:
                 client.gather(take, PERIOD_S)
-                live.update(render(picture, time.monotonic() - heard_s), refresh=True)
+                wide = live.console.width >= WIDE
+                live.update(render(picture, time.monotonic() - heard_s, wide), refresh=True)
         except KeyboardInterrupt:
             return DONE
     Console(stderr=True).print(f"{client.robot} has stopped", highlight=False)
     return NOT_RUNNING
 
 
-def render(picture: Picture, silent_s: float = 0.0) -> ConsoleRenderable:
-    """The whole picture; `silent_s` since anything was heard."""
-    tables = (_modules(picture), _joints(picture), _processes(picture), _events(picture))
-    apart = (part for table in tables for part in (Text(), table))
-    return Group(_headline(picture, silent_s), *apart)
+def render(picture: Picture, silent_s: float = 0.0, wide: bool = False) -> ConsoleRenderable:
+    """The whole picture; `silent_s` since anything was heard, in two columns if `wide`."""
+    modules, rest = _modules(picture), _apart(_joints(picture), _processes(picture))
+    body: ConsoleRenderable = _apart(modules, rest)
+    if wide:
+        body = Table.grid(padding=(0, 4))
+        body.add_row(modules, rest)
+    return _apart(_headline(picture, silent_s), body, _events(picture))
+
+
+def _apart(first: ConsoleRenderable, *others: ConsoleRenderable) -> Group:
+    """One below the other, with a line between."""
+    return Group(first, *(part for other in others for part in (Text(), other)))
 
 
 def _headline(picture: Picture, silent_s: float) -> ConsoleRenderable:

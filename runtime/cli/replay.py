@@ -255,7 +255,7 @@ def report_text(report: Report) -> str:
         "outputs that are not on record": report.invented,
         "messages it took in that are not on record": report.unheard,
         "steps that are not on record": report.lost_steps,
-        "outputs after its last recorded step": report.untold,
+        "recorded outputs of steps that are not on record": report.untold,
     }
     lines += [f"  {count} {what}" for what, count in lacks.items() if count]
     return "\n".join(lines)

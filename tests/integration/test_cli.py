@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -16,7 +17,7 @@ from rich.console import Console
 from runtime import messages as m
 from runtime.bus import Bus
 from runtime.cli.client import connect
-from runtime.cli.live_status import render
+from runtime.cli.live_status import WIDE, render
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, USAGE, main
 from runtime.cli.status import Picture
 from runtime.hubs import Claim, Hub, free_endpoint
@@ -141,13 +142,19 @@ def test_the_live_table_shows_what_matters(robot: Robot) -> None:
             return all(known)
 
         client.gather(take, 5.0)
-    console = Console(width=120, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
-    with console.file:
-        console.print(render(picture, silent_s=4.0))
-    text = console.export_text()
+    narrow, wide = (shown(picture, width) for width in (100, 160))
     for words in ("elbow", "hold", "schema 1 (shipped)", "biceps_1", "150", "retrainer", "silent"):
-        assert words in text, text
-    assert "█" in text
+        assert words in narrow, narrow
+        assert words in wide, wide
+    assert "█" in narrow
+    assert len(wide.splitlines()) < len(narrow.splitlines())
+
+
+def shown(picture: Picture, width: int) -> str:
+    console = Console(width=width, file=io.StringIO())
+    with console.capture() as capture:
+        console.print(render(picture, silent_s=4.0, wide=width >= WIDE))
+    return capture.get()
 
 
 def test_a_recording_of_it_is_played_by_topics(

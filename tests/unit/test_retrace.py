@@ -152,14 +152,19 @@ def test_what_the_recording_lacks_is_counted() -> None:
     some = check(without(entries, lambda x: isinstance(x, m.JointEstimate) and x.stamp_ns < 50e6))
     assert (some.invented, some.silent, some.exact) == (9, 0, False)
 
+    more = msgspec.structs.replace(Summing().tick(0).__next__(), stamp_ns=half_ns + 1)  # type: ignore[attr-defined]
+    odd = check([Entry(0, key_of(ROBOT, more), more), *entries])
+    assert (odd.silent, odd.exact) == (1, False)
+
     torn = check(without(entries, lambda x: isinstance(x, m.Steps) and x.stamp_ns > half_ns))
     assert torn.exact
     assert torn.untold > 0
 
     holed = check(without(entries, lambda x: isinstance(x, m.Steps) and 0 < x.begin < 150))
     assert holed.lost_steps == 100
-    assert holed.silent == 100
-    assert not holed.exact
+    assert holed.untold == 100
+    assert holed.silent == 0
+    assert not holed.exact, "its sum lacks what it heard meanwhile"
 
     nothing = check(without(entries, lambda x: isinstance(x, m.Steps)))
     assert not nothing.exact
