@@ -10,7 +10,7 @@ import msgspec
 from runtime.cli.client import Client, add_robot_argument, connect
 from runtime.cli.completion import completed_by, robots
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED
-from runtime.hubs import HubError, living_hubs
+from runtime.hubs import HubError, find_hub, living_hubs
 from runtime.journal import JournalError
 from runtime.messages import Event
 from runtime.runs import RunError, read_all, recordings
@@ -50,7 +50,7 @@ class Events:
                 with connect(what) as client:
                     return _live(client, args)
             if args.follow:
-                raise HubError(f"{what or 'no robot'} is not running: there is nothing to follow")
+                find_hub(what)  # says that it is not running
             for entry in read_all(recordings(what), (Event,)):
                 assert isinstance(entry.message, Event)
                 _show(entry.message, args.json)
