@@ -113,7 +113,7 @@ class _Tracer:
     def take(self, entry: Entry) -> None:
         _, key, message = entry
         if isinstance(message, Steps):
-            if message.process == self._report.process:
+            if message.process == self._report.process and _whole(message):
                 # One behind: what these steps took in may be written after them.
                 self._walk()
                 self._due = message
@@ -188,6 +188,17 @@ class _Tracer:
             former = report.differences.get(f"{kind}.{name}", Difference(0.0, 0, 0))
             worst = max(former, Difference(distance, said.stamp_ns, 0))
             report.differences[f"{kind}.{name}"] = worst._replace(messages=former.messages + 1)
+
+
+def _whole(steps: Steps) -> bool:
+    """Its lists fit each other; what a stranger published may not."""
+    heard = len(steps.heard_ns)
+    return (
+        len(steps.tick_ns) == len(steps.taken) > 0
+        and min(steps.taken) >= 0
+        and sum(steps.taken) == len(steps.heard_key) == heard
+        and all(0 <= place < len(steps.keys) for place in steps.heard_key)
+    )
 
 
 def _distance(was: Any, now: Any) -> float:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Collection, Iterator
+from hashlib import sha256
 from pathlib import Path
 
+from runtime.envelope import encode
 from runtime.hubs import HubError, find_hub, state_home
 from runtime.journal import About, Entry, about, read
 from runtime.messages import Message
+from runtime.topics import BY_TYPE, Keep
 
 RECORDINGS = "messages*.mcap"
+TOLD_AGAIN = (Keep.RETAINED, Keep.HISTORY)
 
 
 class RunError(RuntimeError):
@@ -62,9 +66,19 @@ def recordings(what: str = "") -> list[Path]:
 
 
 def read_all(files: list[Path], kinds: Collection[type[Message]] = ()) -> Iterator[Entry]:
-    """The messages of several journals, one after the other (see `journal.read`)."""
-    for file in files:
-        yield from read(file, kinds)
+    """The messages of several journals, one after the other (see `journal.read`).
+
+    A recorder that was restarted has been told again what is retained; that is left out.
+    """
+    told: set[bytes] = set()
+    for number, file in enumerate(files, 1):
+        for entry in read(file, kinds):
+            if len(files) > 1 and BY_TYPE[type(entry.message)].keep in TOLD_AGAIN:
+                told_before = len(told)
+                told.add(sha256(entry.key.encode() + encode(entry.message)).digest())
+                if number > 1 and len(told) == told_before:
+                    continue
+            yield entry
 
 
 def about_all(files: list[Path]) -> About:

@@ -7,6 +7,7 @@ import sys
 
 import msgspec
 
+from runtime.bus import BusError
 from runtime.cli.client import Client, add_robot_argument, connect
 from runtime.cli.completion import completed_by, robots
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED
@@ -54,7 +55,9 @@ class Events:
             for entry in read_all(recordings(what), (Event,)):
                 assert isinstance(entry.message, Event)
                 _show(entry.message, args.json)
-        except HubError as error:
+        except BrokenPipeError:
+            raise  # the reader of a pipe has had enough: no mistake
+        except (HubError, BusError) as error:
             print(f"myograft: {error}", file=sys.stderr)
             return NOT_RUNNING
         except (RunError, JournalError, OSError) as error:

@@ -66,7 +66,9 @@ class Logs:
                     print(f"the next run: {newer}", file=sys.stderr)
                     run, logs = newer, {}
                 logs |= _open(run, args.process, besides=logs)
-        except RunError as error:
+        except BrokenPipeError:
+            raise  # the reader of a pipe has had enough: no mistake
+        except (RunError, OSError) as error:
             print(f"myograft: {error}", file=sys.stderr)
             return REFUSED
         return DONE

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from runtime.bus import Bus
+from runtime.bus import Bus, BusError
 from runtime.child import Child
 from runtime.cli.completion import completed_by, robots
 from runtime.cli.main import DONE, REFUSED, UsageError
@@ -75,7 +75,9 @@ class Replay:
             if args.check:
                 return _check(args, files, about)
             return _play(args, files, about)
-        except (RunError, JournalError, HubError, OSError) as error:
+        except BrokenPipeError:
+            raise  # the reader of a pipe has had enough: no mistake
+        except (RunError, JournalError, HubError, BusError, OSError) as error:
             print(f"myograft: {error}", file=sys.stderr)
             return REFUSED
 

@@ -156,22 +156,51 @@ def test_it_plays_under_another_name_and_gives_no_orders(killed: Killed) -> None
     assert not watch.of(m.ChainCommand)
 
 
-def test_it_goes_on_and_ctrl_c_twice_lets_the_wires_go_at_once(
-    robot: RobotSettings, killed: Killed
-) -> None:
+@pytest.fixture(scope="module")
+def risen(robot: RobotSettings, killed: Killed) -> Iterator[tuple[Command, Watch]]:
+    """The same robot, started again."""
     with up(robot) as (command, _, watch):
-        _, moving = watch.wait_for(
-            m.ExecutiveState, lambda x: x.stage == "move" and not x.settled, since=0
-        )
-        assert moving.task == "sweep", f"begun before all was killed at {killed.last_s:.1f} s"
-        since = watch.mark()
-        command.process.send_signal(signal.SIGINT)
-        command.wait_line("parking")
-        asked_s = time.monotonic()
-        assert command.end() == DONE
-        took_s = time.monotonic() - asked_s
-        modes = {state.mode for state in watch.of(m.ChainState, since)}
-        strongest_n = max(watch.last(m.WorldTruth).peak_tension_n)
+        yield command, watch
+
+
+def test_it_goes_on_with_what_it_was_about(risen: tuple[Command, Watch], killed: Killed) -> None:
+    _, watch = risen
+    _, state = watch.wait_for(m.ExecutiveState, lambda x: x.stage == "move", since=0)
+    assert state.task == "sweep"
+    assert watch.last(m.Clock).stamp_ns > killed.last_s * 1e9
+
+
+def test_a_cable_pulled_in_mid_chain_silences_what_is_behind_it(
+    risen: tuple[Command, Watch], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, watch = risen
+    since = watch.mark()
+    assert main(["fault", "cable", "biceps_2"]) == DONE
+    watch.wait_for(m.ChainBody, lambda x: states(x)["elbow"] == "lost", since=since)
+    seen = states(watch.last(m.ChainBody))
+    assert seen == {"triceps": "up", "biceps_1": "up", "biceps_2": "lost", "elbow": "lost"}
+    assert main(["fault", "list"]) == DONE
+    assert capsys.readouterr().out.splitlines()[-1].split() == ["cable", "biceps_2", "0"]
+    since = watch.mark()
+    assert main(["fault", "mend", "biceps_2"]) == DONE
+    watch.wait_for(m.ChainBody, lambda x: set(states(x).values()) == {"up"}, since=since)
+    assert main(["fault", "mend"]) == REFUSED
+
+
+def states(body: m.ChainBody) -> dict[str, str]:
+    return {module.name: module.state for module in body.modules}
+
+
+def test_ctrl_c_twice_lets_the_wires_go_at_once(risen: tuple[Command, Watch]) -> None:
+    command, watch = risen
+    since = watch.mark()
+    command.process.send_signal(signal.SIGINT)
+    command.wait_line("parking")
+    asked_s = time.monotonic()
+    assert command.end() == DONE
+    took_s = time.monotonic() - asked_s
+    modes = {state.mode for state in watch.of(m.ChainState, since)}
+    strongest_n = max(watch.last(m.WorldTruth).peak_tension_n)
     print(f"over {took_s:.2f} s after the second Ctrl-C, {strongest_n:.0f} N at most")
     assert f"{NAME}: stopping the arm\n" in command.lines
     assert f"{NAME}: stopped\n" in command.lines

@@ -171,5 +171,20 @@ def test_what_the_recording_lacks_is_counted() -> None:
     assert "not on record" in report_text(nothing)
 
 
+def test_steps_that_do_not_fit_are_as_if_they_were_not_there() -> None:
+    steps = m.Steps(
+        process="adder",
+        begin=0,
+        tick_ns=(5,),
+        taken=(1,),
+        keys=("chain/arm/state",),
+        heard_key=(0,),
+        heard_ns=(5,),
+    )
+    odd = [{"taken": (2,)}, {"taken": (-1,)}, {"heard_key": (1,)}, {"tick_ns": ()}, {"keys": ()}]
+    entries = [Entry(0, "", msgspec.structs.replace(steps, **fields)) for fields in odd]
+    assert check([*entries, *recorded()]).exact
+
+
 def test_the_estimator_can_be_retraced() -> None:
     assert m.JointEstimate in logics()["estimator"].outputs  # type: ignore[attr-defined]

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from runtime.hubs import Claim, Hub, new_run_dir
 from runtime.journal import Journal
-from runtime.messages import ExecutiveState
+from runtime.messages import Event, ExecutiveState
 from runtime.runs import RunError, about_all, find_run, read_all, recordings
 
 SECOND = 1_000_000_000
@@ -60,6 +61,21 @@ def test_files_of_one_run_are_read_in_the_order_written() -> None:
     steps = [entry.message.step for entry in read_all(files)]  # type: ignore[attr-defined]
     assert steps == list(range(1, 12))
     assert about_all(files) == ("left", "left.toml", SECOND, 11 * SECOND)
+
+
+def test_what_a_restarted_recorder_is_told_again_is_left_out() -> None:
+    folder = new_run_dir("left")
+    event = Event(stamp_ns=1, process="world", level="info", kind="plugged", text="a")
+    state = ExecutiveState(stamp_ns=1, stage="hold")
+    for name in ("messages.mcap", "messages-2.mcap"):
+        with Journal(folder / name, "left") as journal:
+            for message in (event, event, state):
+                journal.write(message, wall_ns=SECOND)
+            journal.write(replace(event, text=name), wall_ns=SECOND)
+    told = [entry.message for entry in read_all(recordings(str(folder)))]
+    assert told.count(event) == 2, "said twice"
+    assert told.count(state) == 2
+    assert len(told) == 6
 
 
 def test_what_is_not_there_is_told(tmp_path: Path) -> None:
