@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import queue
 import sys
 import time
@@ -18,6 +19,7 @@ from runtime.envelope import EnvelopeError, decode, encoding_of
 from runtime.messages import Message
 from runtime.topics import BY_NAME, REQUESTS, TOPICS, key_pattern
 
+WAITING = 1024  # samples that wait to be shown
 SHOWN_BYTES = 200  # of a payload that nobody can read
 _BY_ENCODING = {encoding_of(row.message): row.message for row in TOPICS}
 
@@ -107,8 +109,13 @@ def _pattern(robot: str, topic: str) -> str:
 
 
 def _echo(client: Client, pattern: str, count: int) -> int:
-    heard: queue.SimpleQueue[Overheard] = queue.SimpleQueue()
-    client.bus.overhear(pattern, heard.put, retained=True)
+    heard: queue.Queue[Overheard] = queue.Queue(WAITING)
+
+    def hear(sample: Overheard) -> None:
+        with contextlib.suppress(queue.Full):  # whoever reads is slow: let it miss some
+            heard.put_nowait(sample)
+
+    client.bus.overhear(pattern, hear, retained=True)
     shown = 0
     while not count or shown < count:
         try:
