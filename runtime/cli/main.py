@@ -29,7 +29,7 @@ start here:
   myograft up elbow                start the simulated one-joint arm
   myograft task sweep              (another terminal) run a task
   myograft plug biceps_3           plug in a fourth muscle and watch the arm take it in
-  myograft status                  who runs, who is plugged in, how they feel
+  myograft status --watch          who runs, who is plugged in, how they feel
 
 exit codes: 0 done, 1 refused or failed, 2 wrong usage, 3 no such robot is running
 """

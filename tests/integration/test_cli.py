@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 import os
+import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 import zenoh
 from rich.console import Console
@@ -20,9 +22,10 @@ from runtime.cli.client import connect
 from runtime.cli.live_status import WIDE, render
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, USAGE, main
 from runtime.cli.status import Picture
-from runtime.hubs import Claim, Hub, free_endpoint
+from runtime.hubs import Claim, Hub, find_hub, free_endpoint
 from runtime.journal import Journal
 from runtime.runs import read_all, recordings
+from runtime.settings import load_robot
 from tests.made_up_run import run
 
 SECOND = 1_000_000_000
@@ -176,6 +179,38 @@ def test_a_recording_of_it_is_played_by_topics(
     assert played.returncode == DONE, played.stderr
     told = list(read_all(recordings(str(path)), (m.ExecutiveState, m.Event)))
     assert f"{len(told)} messages" in played.stdout
+
+
+def test_a_replay_of_a_real_robot_has_its_picture_and_its_time(
+    robot: Robot, tmp_path: Path
+) -> None:
+    """Nobody tells the time of a robot without a world: the picture must not take the host's."""
+    shipped = load_robot("elbow")
+    text = Path(shipped.file).read_text().replace('link = "sim:"', 'link = "serial:///dev/null"')
+    file = tmp_path / "elbow.toml"
+    file.write_text(text.replace('"../', f'"{Path(shipped.file).parent}/../'))
+    begin_ns = 10**15
+    path = tmp_path / "messages.mcap"
+    with Journal(path, "elbow", str(file)) as journal:
+        for now_ns, message in run(1.0):
+            if not isinstance(message, m.Clock):
+                stamped = msgspec.structs.replace(message, stamp_ns=begin_ns + now_ns)
+                journal.write(stamped, SECOND + now_ns)
+    words = ["replay", str(path), "--robot", "real", "--stay"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "runtime.cli.main", *words], stdout=subprocess.PIPE, text=True
+    ) as player:
+        assert player.stdout is not None
+        said = [player.stdout.readline() for _ in range(3)]
+        assert "at its end, and stays" in said[-1], said
+        folder = Path(find_hub("real").run_dir)
+        with connect("real") as client:
+            client.bus.subscribe(m.Health)
+            heard = client.gather(lambda x: isinstance(x, m.Health) and x.process == "viz", 5.0)
+        player.send_signal(signal.SIGINT)
+        assert player.wait(10) == DONE
+    assert begin_ns < heard[-1].stamp_ns < begin_ns + 2 * SECOND
+    assert not folder.exists(), "it leaves nothing behind"
 
 
 def test_logs_are_interleaved_by_time(robot: Robot, capsys: pytest.CaptureFixture[str]) -> None:
