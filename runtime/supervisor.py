@@ -155,6 +155,11 @@ class Group:
         return all(child.state == "ready" for child in self._children.values())
 
     @property
+    def time_told(self) -> bool:
+        """Robot time runs; not asked of a part of a robot whose world is elsewhere."""
+        return "world" not in self._children or self._member.now_ns() is not None
+
+    @property
     def rows(self) -> tuple[ProcessRow, ...]:
         """The table of processes."""
         return tuple(child.row for child in self._children.values())

@@ -133,10 +133,12 @@ def _attend(groups: list[Group]) -> int:
 def _tell_when_ready(groups: list[Group], told: threading.Event) -> None:
     started_s = time.monotonic()
     for group in groups:
-        while not (told.is_set() or group.wait_ready(0.2)):
+        while not (told.is_set() or (group.wait_ready(0.2) and group.time_told)):
+            told.wait(0.02)
             if time.monotonic() > started_s + 30:
                 waiting = [row.process for row in group.rows if row.state != "ready"]
-                print(f"{group.settings.name}: still waiting for {', '.join(waiting)}")
+                what = ", ".join(waiting) or "the world to tell the time"
+                print(f"{group.settings.name}: still waiting for {what}")
                 return
         if not told.is_set():
             took_s = time.monotonic() - started_s
