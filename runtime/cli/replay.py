@@ -26,6 +26,7 @@ from runtime.player import Played, Player, kinds_played
 from runtime.retrace import Report, logics, retrace
 from runtime.runs import RunError, about_all, read_all, recordings
 from runtime.settings import RobotSettings, SettingsError, load_robot
+from runtime.settings_checks import NAME
 
 PICTURE_S = 20.0  # wall time that the picture may take to come up
 
@@ -69,6 +70,8 @@ class Replay:
         """Find it, then play or check."""
         if not args.speed > 0:
             raise UsageError("--speed must be above 0")
+        if args.robot and not NAME.fullmatch(args.robot):
+            raise UsageError(f"robot name {args.robot!r} cannot be: letters, digits, '_', '-' only")
         try:
             files = recordings(args.run)
             about = about_all(files)

@@ -86,6 +86,7 @@ def test_without_a_robot_they_say_how_to_start_one(
         (["topic", "echo"], "topic list"),
         (["topic", "echo", "Plug"], "events"),
         (["replay", "--speed", "nan"], "--speed"),
+        (["replay", "--robot", "a/b"], "letters"),
     ],
 )
 def test_wrong_usage_is_told_with_the_remedy(
