@@ -68,11 +68,18 @@ class Faults:
         self._active[key] = ActiveFault(kind, target, amount)
         self._random.setdefault(key, random.Random(f"{self.seed}:{kind}:{target}"))
 
+    def matching(self, kind: str = "", target: str = "") -> list[ActiveFault]:
+        """Faults of this kind and target; "" is any."""
+        return [
+            fault
+            for fault in self._active.values()
+            if kind in ("", fault.kind) and target in ("", fault.target)
+        ]
+
     def clear(self, kind: str = "", target: str = "") -> None:
         """Mend what has this kind and target; "" is any."""
-        for key in list(self._active):
-            if kind in ("", key[0]) and target in ("", key[1]):
-                del self._active[key]
+        for fault in self.matching(kind, target):
+            del self._active[fault.kind, fault.target]
 
     def amount(self, kind: str, target: str) -> float | None:
         """The amount of a fault; None while that is whole."""

@@ -216,11 +216,7 @@ class SimulatedRobot:
 
     def _mend(self, request: m.Fault) -> m.Event:
         """Mend all that is asked for but torn wires, which a hand has to lead anew."""
-        asked = [
-            fault
-            for fault in self.faults.active
-            if request.kind in ("", fault.kind) and request.target in ("", fault.target)
-        ]
+        asked = self.faults.matching(request.kind, request.target)
         torn = [fault.target for fault in asked if fault.kind == "rupture"]
         mended = [fault for fault in asked if fault.kind != "rupture"]
         if torn and not mended:
@@ -236,11 +232,9 @@ class SimulatedRobot:
 
     def _hold_readings(self) -> None:
         """Keep what each stuck sensor read when it got stuck."""
-        stuck = [fault.target for fault in self.faults.active if fault.kind == "stuck"]
-        self._stuck = {
-            name: self._stuck[name] if name in self._stuck else self._reading(name)
-            for name in stuck
-        }
+        held = self._stuck
+        stuck = [fault.target for fault in self.faults.matching("stuck")]
+        self._stuck = {x: held[x] if x in held else self._reading(x) for x in stuck}
 
     def _told_fault(self, level: str, text: str, target: str) -> m.Event:
         return m.Event(
