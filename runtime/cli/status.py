@@ -13,7 +13,7 @@ from runtime import messages as m
 from runtime.cli.client import Client, add_robot_argument, with_robot
 from runtime.cli.main import DONE, NOT_RUNNING
 
-LISTEN_S = 0.15  # at most: what is retained or fast has arrived by then
+LISTEN_S = 0.5  # at most: a simulated robot that is whole has told everything long before
 WATCH_S = 1.0
 RECENT = 6  # events kept
 
