@@ -10,11 +10,11 @@ from __future__ import annotations
 from runtime.messages import Message, Steps
 from runtime.topics import key_of
 
-EVERY_NS = 500_000_000  # kill -9 costs the steps since the last message
+EVERY_NS = 250_000_000  # kill -9 costs the steps since the last message
 
 
 class StepLog:
-    """Notes what `process` takes in, and sums it up twice a robot second."""
+    """Notes what `process` takes in, and sums it up four times a robot second."""
 
     def __init__(self, robot: str, process: str) -> None:
         self._prefix = len(robot) + 1

@@ -45,14 +45,14 @@ def test_other_peoples_tools_read_it(tmp_path: Path) -> None:
     assert {schema.name for schema in summary.schemas.values()} >= {"ChainBody", "ExecutiveState"}
 
 
-def test_a_kill_costs_half_a_second(tmp_path: Path) -> None:
+def test_a_kill_costs_a_quarter_of_a_second(tmp_path: Path) -> None:
     path = tmp_path / "messages.mcap"
     journal = Journal(path, "elbow")  # never closed, as after kill -9
     for i in range(35):
         journal.write(ExecutiveState(stage="hold", step=i), wall_ns=SECOND + i * SECOND // 10)
     on_disk = path.read_bytes()  # what the kernel has; the rest dies with the process
     found = list(read(path))
-    assert 30 <= len(found) <= 35
+    assert 32 <= len(found) <= 35
     for torn in (len(on_disk) - 1, len(on_disk) - 100, len(on_disk) // 2):
         short = tmp_path / f"{torn}.mcap"
         short.write_bytes(on_disk[:torn])
@@ -95,7 +95,7 @@ def test_it_says_whose_it_is_and_how_long_also_after_a_kill(tmp_path: Path) -> N
         journal.write(ExecutiveState(stage="hold", step=i), wall_ns=SECOND + i * SECOND // 10)
     killed = about(path)
     assert killed[:3] == ("left", "robots/elbow.toml", SECOND)
-    assert 2.5 * SECOND <= killed.end_ns <= 3 * SECOND
+    assert 2.75 * SECOND <= killed.end_ns <= 3 * SECOND
     journal.__exit__(None, None, None)
     assert about(path).end_ns == 3 * SECOND
 
@@ -115,9 +115,13 @@ def test_a_damaged_chunk_costs_itself(tmp_path: Path) -> None:
         for i in range(40):
             journal.write(ExecutiveState(stage="hold", step=i), wall_ns=SECOND + i * SECOND // 10)
     whole = [entry.message for entry in read(path)]
-    data = bytearray(path.read_bytes())
-    data[len(data) // 3] ^= 0xFF
-    path.write_bytes(data)
+    data = path.read_bytes()
+    for place in range(len(data) // 3, len(data) // 2, 7):
+        path.write_bytes(data[:place] + bytes([data[place] ^ 0xFF]) + data[place + 1 :])
+        left = [entry.message for entry in read(path)]
+        assert set(left) <= set(whole)
+        about(path)
+    path.write_bytes(data[: len(data) // 3] + b"\xff" + data[len(data) // 3 + 1 :])
     left = [entry.message for entry in read(path)]
     assert len(whole) - 10 <= len(left) < len(whole)
     assert left[-1] == whole[-1]
