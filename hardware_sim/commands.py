@@ -7,8 +7,9 @@ from pathlib import Path
 
 from hardware_sim.faults import KINDS
 from runtime import messages as m
-from runtime.cli.client import add_robot_argument, request, take_robot
-from runtime.cli.main import UsageError
+from runtime.cli.client import Client, add_robot_argument, request, show, take_robot, with_robot
+from runtime.cli.completion import completed_by, named
+from runtime.cli.main import DONE, UsageError
 from runtime.settings import SettingsError, load_path
 
 
@@ -26,7 +27,8 @@ class Plug:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("words", nargs="+", metavar="[ROBOT] MUSCLE")
+        words = parser.add_argument("words", nargs="+", metavar="[ROBOT] MUSCLE")
+        completed_by(words, named("spare", "muscle"))
         parser.add_argument("--chain", default="", help="default: the spare's, or the only one")
         parser.add_argument("--path", type=Path, metavar="FILE", help="where its wire runs")
         parser.add_argument("--id", type=int, default=1, help="1: as it comes from the factory")
@@ -52,7 +54,8 @@ class Unplug:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("words", nargs="+", metavar="[ROBOT] MUSCLE")
+        words = parser.add_argument("words", nargs="+", metavar="[ROBOT] MUSCLE")
+        completed_by(words, named("muscle", "spare"))
         add_robot_argument(parser)
 
     def run(self, args: argparse.Namespace) -> int:
@@ -64,31 +67,64 @@ _USUAL = {"corrupt": 0.001, "drop": 0.05, "delay": 0.002, "cable": 0.0, "overhea
 
 
 class Fault:
-    """Break something in the simulation, or mend it with --amount 0.
+    """Break something in the simulation, mend it, or list what is broken.
 
     kinds, targets, and what the amount means:
-      corrupt   chain or muscle  probability that a byte on the line has a flipped bit
-      drop      chain or muscle  probability that a packet is lost
-      delay     chain or muscle  seconds that answers come late
-      cable     chain            modules before the place where the cable is pulled
+      corrupt   chain or module  probability that a byte on the line has a flipped bit
+      drop      chain or module  probability that a packet is lost
+      delay     chain or module  seconds that answers come late
+      cable     chain or module  pulled before this module: all behind it are silent; for a chain
+                                 the amount is how many modules are left
       stuck     muscle or joint  its load cell or angle sensor gives its last reading
-      rupture   muscle           its wire is torn
+      rupture   muscle           its wire is torn, until the muscle is unplugged and plugged in anew
       overheat  muscle           degC that its motor is hotter than its load makes it
+    A module goes by the name of its muscle or joint.
 
     Examples:
       myograft fault corrupt arm --amount 0.001
+      myograft fault cable biceps_1                before this module, in the middle of the chain
       myograft fault rupture biceps_1
-      myograft fault overheat triceps
+      myograft fault list
+      myograft fault mend                          all that is broken
+      myograft fault mend biceps_1                 or: mend drop, mend drop arm
     """
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("kind", choices=KINDS)
-        parser.add_argument("target", help="a muscle, a joint or a chain")
+        parser.add_argument("action", choices=(*KINDS, "list", "mend"), metavar="KIND|list|mend")
+        target = parser.add_argument("target", nargs="*", help="a muscle, a joint or a chain")
+        completed_by(target, named("muscle", "spare", "joint", "chain"))
         parser.add_argument("--amount", type=float, help="how much; 0 mends what can be mended")
         add_robot_argument(parser)
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask the world."""
-        amount = _USUAL.get(args.kind, 1.0) if args.amount is None else args.amount
-        return request(args.robot, m.Fault(kind=args.kind, target=args.target, amount=amount))
+        if args.action == "list":
+            return with_robot(args.robot, _list_faults)
+        if args.action == "mend":
+            return request(args.robot, _mending(args.target))
+        if len(args.target) != 1:
+            raise UsageError(f"what shall have it? myograft fault {args.action} TARGET")
+        amount = _USUAL.get(args.action, 1.0) if args.amount is None else args.amount
+        return request(args.robot, m.Fault(kind=args.action, target=args.target[0], amount=amount))
+
+
+def _mending(words: list[str]) -> m.Fault:
+    """`mend`, `mend KIND`, `mend TARGET`, `mend KIND TARGET`."""
+    kind = words[0] if words and words[0] in KINDS else ""
+    targets = words[1:] if kind else words
+    if len(targets) > 1:
+        raise UsageError("mend what? myograft fault mend [KIND] [TARGET]")
+    return m.Fault(action="mend", kind=kind, target=targets[0] if targets else "")
+
+
+def _list_faults(client: Client) -> int:
+    question = m.Fault(action="list")
+    replies = client.ask(question)
+    for reply in replies:
+        for name, amount in reply.data.items():
+            if name != "process":
+                kind, _, target = name.partition(" ")
+                print(f"{kind:<9} {target:<20} {amount}")
+    quiet = [reply for reply in replies if reply.ok and not reply.text]
+    return DONE if quiet else show(replies, question)

@@ -8,7 +8,7 @@ Kinds, the target they name, and what their amount means:
     cable     chain            modules before the place where the cable was pulled
               module           the cable just before this module was pulled
     stuck     muscle or joint  1: its load cell or angle sensor gives its last reading for ever
-    rupture   muscle           1: its wire is torn
+    rupture   muscle           1: its wire is torn; a new one comes with plugging it in anew
     overheat  muscle           degC that its motor is hotter than its load makes it
 
 Lines are deterministic: each fault draws from its own generator, seeded by seed, kind and target.
@@ -16,11 +16,14 @@ Lines are deterministic: each fault draws from its own generator, seeded by seed
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Iterable
 from typing import NamedTuple
 
 KINDS = ("corrupt", "drop", "delay", "cable", "stuck", "rupture", "overheat")
+LONGEST_DELAY_S = 1.0  # the line is in order: what was delayed goes before all that comes later
+_MOST = {"corrupt": 1.0, "drop": 1.0, "delay": LONGEST_DELAY_S}
 
 
 class ActiveFault(NamedTuple):
@@ -52,8 +55,10 @@ class Faults:
         """
         if kind not in KINDS:
             raise ValueError(f"no fault {kind!r}; there are {', '.join(KINDS)}")
-        if amount < 0.0 or (kind in ("corrupt", "drop") and amount > 1.0):
-            raise ValueError(f"{kind} cannot have the amount {amount:g}")
+        most = _MOST.get(kind, math.inf)
+        if not (0.0 <= amount <= most and math.isfinite(amount)):
+            bound = f" to {most:g}" if math.isfinite(most) else " on"
+            raise ValueError(f"{kind} cannot have the amount {amount:g}, but any from 0{bound}")
         if amount == 0.0 and kind == "rupture":
             amount = 1.0
         if amount == 0.0 and kind != "cable":
@@ -63,11 +68,18 @@ class Faults:
         self._active[key] = ActiveFault(kind, target, amount)
         self._random.setdefault(key, random.Random(f"{self.seed}:{kind}:{target}"))
 
+    def matching(self, kind: str = "", target: str = "") -> list[ActiveFault]:
+        """Faults of this kind and target; "" is any."""
+        return [
+            fault
+            for fault in self._active.values()
+            if kind in ("", fault.kind) and target in ("", fault.target)
+        ]
+
     def clear(self, kind: str = "", target: str = "") -> None:
         """Mend what has this kind and target; "" is any."""
-        for key in list(self._active):
-            if kind in ("", key[0]) and target in ("", key[1]):
-                del self._active[key]
+        for fault in self.matching(kind, target):
+            del self._active[fault.kind, fault.target]
 
     def amount(self, kind: str, target: str) -> float | None:
         """The amount of a fault; None while that is whole."""

@@ -186,11 +186,16 @@ class SimulatedRobot:
         )
 
     def fault(self, request: m.Fault) -> m.Event:
-        """Break something, or mend it (amount 0 where that makes sense).
+        """Break something, or mend it; amount 0 mends, too, where that makes sense.
 
         Raises:
-            PlugError: no such kind of fault or nothing of that name that can have it.
+            PlugError: no such kind of fault or nothing of that name that can have it; or nothing is
+                broken that could be mended.
         """
+        if request.action == "mend":
+            return self._mend(request)
+        if request.action != "break":
+            raise PlugError(f"a fault can be to break or to mend something, not '{request.action}'")
         name = request.target
         targets = [*self._modules]
         if request.kind not in MUSCLE_FAULTS:
@@ -205,17 +210,40 @@ class SimulatedRobot:
             raise PlugError(str(error)) from error
         if request.kind == "rupture":
             self.plant.rupture(name)
-        elif request.kind == "stuck" and self.faults.amount("stuck", name) is None:
-            self._stuck.pop(name, None)
-        elif request.kind == "stuck" and name not in self._stuck:
-            self._stuck[name] = self._reading(name)
+        elif request.kind == "stuck":
+            self._hold_readings()
+        return self._told_fault("warning", f"{request.kind} on '{name}', {request.amount:g}", name)
+
+    def _mend(self, request: m.Fault) -> m.Event:
+        """Mend all that is asked for but torn wires, which a hand has to lead anew."""
+        asked = self.faults.matching(request.kind, request.target)
+        torn = [fault.target for fault in asked if fault.kind == "rupture"]
+        mended = [fault for fault in asked if fault.kind != "rupture"]
+        if torn and not mended:
+            raise PlugError(f"the wire of '{torn[0]}' is torn: unplug the muscle and plug it in")
+        if not mended:
+            broken = _list(f"{fault.kind} on {fault.target}" for fault in self.faults.active)
+            raise PlugError(f"that is not broken; there is: {broken or 'nothing'}")
+        for fault in mended:
+            self.faults.clear(fault.kind, fault.target)
+        self._hold_readings()
+        text = _list(f"{fault.kind} on '{fault.target}'" for fault in mended)
+        return self._told_fault("info", f"mended: {text}", request.target)
+
+    def _hold_readings(self) -> None:
+        """Keep what each stuck sensor read when it got stuck."""
+        held = self._stuck
+        stuck = [fault.target for fault in self.faults.matching("stuck")]
+        self._stuck = {x: held[x] if x in held else self._reading(x) for x in stuck}
+
+    def _told_fault(self, level: str, text: str, target: str) -> m.Event:
         return m.Event(
             stamp_ns=self.now_ns,
             process="world",
-            level="warning",
+            level=level,
             kind="fault",
-            text=f"{request.kind} on '{request.target}', {request.amount:g}",
-            data={"kind": request.kind, "target": request.target},
+            text=text,
+            data={"target": target},
         )
 
     def hand(self, command: m.HandCommand) -> m.HandState:

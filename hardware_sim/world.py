@@ -191,6 +191,8 @@ class World:
 
     def answer(self, request: Message) -> Reply:
         """What hands do; refused in words when they cannot."""
+        if isinstance(request, m.Fault) and request.action == "list":
+            return self._faults()
         try:
             if isinstance(request, m.Plug):
                 event = self.robot.plug(request)
@@ -205,6 +207,12 @@ class World:
         self._out.append(event)
         self._save()
         return Reply(ok=True, text=event.text, data=event.data)
+
+    def _faults(self) -> Reply:
+        broken = {
+            f"{kind} {name}": f"{amount:g}" for kind, name, amount in self.robot.faults.active
+        }
+        return Reply(ok=True, text="" if broken else "nothing is broken", data=broken)
 
     # ── state that outlives the process ───────────────────────────────────────────────────────
 

@@ -55,6 +55,14 @@ class Question:
     reply: Callable[[Reply], None]
 
 
+class Overheard(NamedTuple):
+    """Anything that was published, as it stood on the wire."""
+
+    key: str
+    encoding: str
+    payload: bytes
+
+
 class _Arrival(NamedTuple):
     kind: type[Message]
     sample: Any  # zenoh.Sample, or zenoh.Query when something is asked
@@ -182,6 +190,34 @@ class Bus:
                 self._watch_presence()
             else:
                 self._subscribe(BY_TYPE[kind], every, chain, wake)
+
+    def overhear(self, pattern: str, heard: Callable[[Overheard], None], *, retained: bool) -> None:
+        """Take in whatever is published on these keys, ours or not.
+
+        Args:
+            pattern: a Zenoh key expression, with the robot's name.
+            heard: called from the bus's thread.
+            retained: begin with what a late subscriber gets.
+
+        Raises:
+            BusError: it is no key expression.
+        """
+
+        def arrived(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.PUT:
+                payload = bytes(sample.payload)
+                heard(Overheard(str(sample.key_expr), str(sample.encoding), payload))
+
+        history = zext.HistoryConfig(detect_late_publishers=True, max_samples=HISTORY_DEPTH)
+        try:
+            key = zenoh.KeyExpr.autocanonize(pattern)
+        except zenoh.ZError as error:
+            raise BusError(f"{pattern!r} is no key expression: {error}") from error
+        self._declared.append(
+            zext.declare_advanced_subscriber(self._session, key, arrived, history=history)
+            if retained
+            else self._session.declare_subscriber(key, arrived)
+        )
 
     def serve(self, *kinds: type[Message]) -> None:
         """Answer requests of these types: they come out of `wait` as `Question`s."""

@@ -27,6 +27,7 @@ class Hub(msgspec.Struct, frozen=True, kw_only=True):
     pid: int
     endpoint: str
     run_dir: str = ""
+    file: str = ""  # the robot file
     started: str = ""  # UTC
 
 

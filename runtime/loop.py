@@ -8,8 +8,9 @@ import time
 from runtime.bus import Question
 from runtime.logic import Logic
 from runtime.member import EXECUTIVE, Member
-from runtime.messages import ExecutiveState, Message, Reply, Task
+from runtime.messages import ExecutiveState, Message, Reply, Steps, Task
 from runtime.parking import Parking
+from runtime.steps import StepLog
 
 UNKNOWN_TIME_S = 0.02  # how often to look whether the world has told the time
 LONGEST_WAIT_S = 0.2  # so that signals and the supervisor's death are noticed
@@ -18,10 +19,11 @@ NO_TIME = Reply(ok=False, text="robot time is not known yet: the world has not s
 log = logging.getLogger(__name__)
 
 
-def drive(logic: Logic, member: Member) -> None:
+def drive(logic: Logic, member: Member, steps: StepLog | None = None) -> None:
     """Drive `logic` until `member.stopping`.
 
-    Ticks fall on multiples of `period_ns`, and besides right after each batch of arrivals.
+    Ticks fall on multiples of `period_ns`, and besides right after each batch of arrivals. What is
+    taken in at each is told by `steps`.
 
     Raises:
         SystemExit: with code 1, after an exception in `tick`.
@@ -35,7 +37,7 @@ def drive(logic: Logic, member: Member) -> None:
                 early.append(item)
     if member.stopping or now_ns is None:
         return
-    runner = _Runner(logic, member)
+    runner = _Runner(logic, member, steps)
     runner.step(list(early), now_ns)
     while not (member.stopping or runner.parked):
         wait_s = member.clock.wall_s_until(runner.due_ns, time.monotonic_ns())
@@ -43,13 +45,15 @@ def drive(logic: Logic, member: Member) -> None:
         now_ns = member.now_ns()
         assert now_ns is not None
         runner.step(items, now_ns)
+    runner.close()
 
 
 class _Runner:
-    def __init__(self, logic: Logic, member: Member) -> None:
+    def __init__(self, logic: Logic, member: Member, steps: StepLog | None) -> None:
         self.due_ns = 0
         self._logic = logic
         self._member = member
+        self._steps = steps
         self._complaints: set[tuple[str, str]] = set()
         self._parking: Parking | None = None
 
@@ -68,10 +72,21 @@ class _Runner:
             self._member.publish(message)
             if self._parking is not None and isinstance(message, ExecutiveState):
                 self._parking.see(message, time.monotonic())
+        if self._steps is not None:
+            self._tell(self._steps.act(now_ns))
         period_ns = self._logic.period_ns
         if now_ns >= self.due_ns:
             self.due_ns = (now_ns // period_ns + 1) * period_ns
         self._member.beat(now_ns)
+
+    def close(self) -> None:
+        """Tell what is left to tell."""
+        if self._steps is not None:
+            self._tell(self._steps.rest())
+
+    def _tell(self, steps: Steps | None) -> None:
+        if steps is not None:
+            self._member.publish(steps)
 
     def _take(self, item: Message | Question, now_ns: int) -> None:
         # One bad message costs itself: it must not end the process.
@@ -79,6 +94,8 @@ class _Runner:
             if isinstance(item, Question):
                 item.reply(self._answer(item.request, now_ns))
             else:
+                if self._steps is not None:
+                    self._steps.take(item)
                 self._logic.receive(item, now_ns)
         except Exception as error:
             asked = item.request if isinstance(item, Question) else item

@@ -84,6 +84,18 @@ class Event(Message, frozen=True, kw_only=True):
     data: dict[str, str] = {}
 
 
+class Steps(Message, frozen=True, kw_only=True):
+    """What a process's logic took in and when it acted: thus a recording can be led through it."""
+
+    process: str
+    begin: int  # steps of this process before these; 0: they begin with its start
+    tick_ns: tuple[int, ...]  # robot time of each step: it takes in what there is, then acts
+    taken: tuple[int, ...]  # how many messages each step took in
+    keys: tuple[str, ...]
+    heard_key: tuple[int, ...]  # of each message: its place in `keys`
+    heard_ns: tuple[int, ...]  # and its stamp
+
+
 # ── the daisy chains ──────────────────────────────────────────────────────────────────────────
 
 
@@ -341,11 +353,12 @@ class SchemaRequest(Message, frozen=True, kw_only=True):
 
 
 class Fault(Message, frozen=True, kw_only=True):
-    """Break something in the simulation: corrupt, drop, delay, stuck, rupture, overheat, cable."""
+    """Break something in the simulation, mend it, or list what is broken."""
 
-    kind: str
-    target: str  # muscle or chain
+    kind: str = ""  # corrupt | drop | delay | cable | stuck | rupture | overheat; "" mends any
+    target: str = ""  # muscle, joint or chain; "" mends any
     amount: float = 0.0
+    action: str = "break"  # break | mend | list
 
 
 # ── simulation's truth, for scoring only ──────────────────────────────────────────────────────

@@ -29,6 +29,11 @@ class Parking:
         """It was refused: there is nothing to wait for."""
         self._parked = True
 
+    @property
+    def parked(self) -> bool:
+        """The arm is at rest."""
+        return self._parked
+
     def over(self, wall_s: float) -> bool:
         """Parked, or waited long enough."""
         return self._parked or wall_s > self._deadline_s

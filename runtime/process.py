@@ -15,6 +15,7 @@ import logging
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -27,6 +28,7 @@ from runtime.manifest import simulated
 from runtime.member import Member
 from runtime.messages import Message
 from runtime.settings import RobotSettings, load_robot
+from runtime.steps import StepLog
 from runtime.store import FileStore
 
 ENTRY_POINTS = "myograft.processes"
@@ -47,6 +49,7 @@ class Launch:
     seed: int = 0
     parent: int = 0  # pid of the supervisor; 0: started by hand
     connect: tuple[str, ...] = ()  # more endpoints: a router, when the robot is split over hosts
+    told_time: bool = False  # the bus tells robot time though no chain is simulated: a replay
 
     @property
     def instance(self) -> str:
@@ -76,16 +79,20 @@ class Launch:
         with Bus(
             self.settings.name, self.process, endpoint=self.endpoint, also=self.connect
         ) as bus:
-            member = Member(bus, follow_world=self.simulated, parent=self.parent)
+            follow_world = self.simulated or self.told_time
+            member = Member(bus, follow_world=follow_world, parent=self.parent)
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: member.stop())
             yield member
 
-    def run(self, logic: Logic, unhurried: tuple[type[Message], ...] = ()) -> None:
+    def run(
+        self, logic: Logic, unhurried: tuple[type[Message], ...] = (), *, traced: bool = False
+    ) -> None:
         """Drive a logic until the process is told to stop.
 
         Of its inputs it hears only its own chain's, if it is one's; those that are `unhurried` wait
-        for its next tick.
+        for its next tick. What a `traced` logic takes in is told, so that a recording can be led
+        through it again (`retrace.py`).
 
         An exception in `receive` or `answer` costs that message; one in `tick` is logged, told as
         an event, and ends the process with exit code 1, to be restarted.
@@ -97,7 +104,7 @@ class Launch:
             member.subscribe(*unhurried, chain=chain, wake=False)
             member.serve(*logic.requests)
             member.ready()
-            drive(logic, member)
+            drive(logic, member, StepLog(self.settings.name, self.process) if traced else None)
 
 
 def entry_of(process: str, entry: str = "") -> Callable[[Launch], None]:
@@ -133,8 +140,10 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--state-dir", type=Path, required=True)
     parser.add_argument("--endpoint", required=True, help="of the hub: tcp/127.0.0.1:7447")
     parser.add_argument("--connect", action="append", default=[], help="more endpoints")
+    parser.add_argument("--told-time", action="store_true", help="follow the bus's clock")
     parser.add_argument("--parent", type=int, default=0, help="pid of the supervisor")
     args = parser.parse_args(argv)
+    logging.Formatter.converter = time.gmtime  # as everything else that is recorded
     logging.basicConfig(
         level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(message)s"
     )
@@ -152,6 +161,7 @@ def main(argv: list[str] | None = None) -> None:
         seed=args.seed,
         parent=args.parent,
         connect=tuple(args.connect),
+        told_time=args.told_time,
     )
     log.info("%s of %s, pid %d", launch.process, launch.settings.name, os.getpid())
     entry_of(args.process, args.entry)(launch)

@@ -21,7 +21,7 @@ FRESH_ID = BY_NAME["id"].default
 LAST_ID = BY_NAME["id"].high
 WATCHDOG_STEP_MS = round(1000 * BY_NAME["bus_watchdog"].scale)
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # safe as key segment, file name and word
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # safe as key segment, file name and word
 _RESERVED_TASKS = ("park", "hold", "cancel")  # `Task` requests these by name, too
 
 
@@ -91,7 +91,7 @@ def robot_mistakes(settings: RobotSettings) -> Iterator[Mistake]:
 
 def _names(settings: RobotSettings) -> Iterator[Mistake]:
     rule = "use letters, digits, '_' and '-' only: it becomes a part of every key"
-    if not _NAME.fullmatch(settings.robot.name):
+    if not NAME.fullmatch(settings.robot.name):
         yield Mistake(("robot", "name"), f"robot name '{settings.robot.name}' cannot be; {rule}")
     muscles = [(("muscle", i, "name"), row.name) for i, row in enumerate(settings.muscle)]
     muscles += [(("spare", i, "name"), row.name) for i, row in enumerate(settings.spare)]
@@ -104,7 +104,7 @@ def _names(settings: RobotSettings) -> Iterator[Mistake]:
     ):
         yield from _unique(kind, rows)
     for index, chain in enumerate(settings.chain):
-        if not _NAME.fullmatch(chain.name):
+        if not NAME.fullmatch(chain.name):
             yield Mistake(("chain", index, "name"), f"chain name '{chain.name}' cannot be; {rule}")
     for index, task in enumerate(settings.task):
         if task.name in _RESERVED_TASKS:

@@ -108,6 +108,7 @@ class Group:
             pid=os.getpid(),
             endpoint=self.endpoint,
             run_dir=str(self.run_dir),
+            file=self.settings.file,
             started=datetime.now(UTC).isoformat(timespec="seconds"),
         )
         self._claim = Claim(hub)
@@ -152,6 +153,11 @@ class Group:
     def ready(self) -> bool:
         """Every process is ready."""
         return all(child.state == "ready" for child in self._children.values())
+
+    @property
+    def time_told(self) -> bool:
+        """Robot time runs; not asked of a part of a robot whose world is elsewhere."""
+        return "world" not in self._children or self._member.now_ns() is not None
 
     @property
     def rows(self) -> tuple[ProcessRow, ...]:
@@ -284,6 +290,8 @@ class Group:
         while not (parking.over(time.monotonic()) or executive.state != "ready"):
             if self._hurry.wait(0.05):
                 return
+        how = "parked" if parking.parked else "not parked in time, stopped as it is"
+        self._say(f"{self.settings.name}: {how}")
 
     def _on_exit(self, child: Child, code: int) -> None:
         self._exits.put((child, code))

@@ -15,6 +15,7 @@ from runtime.cli.client import (
     take_robot,
     with_robot,
 )
+from runtime.cli.completion import completed_by, named
 from runtime.cli.main import DONE, REFUSED, USAGE
 from runtime.messages import Message
 
@@ -33,7 +34,8 @@ class Reach:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("angle", nargs="+", metavar="[ROBOT] JOINT=DEG")
+        angle = parser.add_argument("angle", nargs="+", metavar="[ROBOT] JOINT=DEG")
+        completed_by(angle, lambda: [f"{joint}=" for joint in named("joint")()])
         add_robot_argument(parser)
 
     def run(self, args: argparse.Namespace) -> int:
@@ -66,7 +68,8 @@ class Task:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("words", nargs="+", metavar="[ROBOT] TASK")
+        words = parser.add_argument("words", nargs="+", metavar="[ROBOT] TASK")
+        completed_by(words, lambda: named("task")() | {"park", "hold", "cancel"})
         add_robot_argument(parser)
 
     def run(self, args: argparse.Namespace) -> int:

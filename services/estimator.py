@@ -8,4 +8,4 @@ from services.logic.estimator import Estimator
 
 def main(launch: Launch) -> None:
     """Run the estimator of one robot."""
-    launch.run(Estimator(launch.settings))
+    launch.run(Estimator(launch.settings), traced=True)

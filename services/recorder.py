@@ -26,7 +26,7 @@ def main(launch: Launch) -> None:
     kinds: list[type[Message]] = [row.message for row in TOPICS if row.message not in line]
     with (
         launch.open_bus() as member,
-        Journal(_free_file(launch.run_dir), launch.settings.name) as journal,
+        Journal(_free_file(launch.run_dir), launch.settings.name, launch.settings.file) as journal,
     ):
         member.subscribe(*kinds, every=True)
         member.ready()

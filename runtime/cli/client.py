@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 from runtime.bus import Bus, BusError, Question
+from runtime.cli.completion import completed_by, robots
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, UsageError
-from runtime.hubs import Hub, HubError, find_hub
+from runtime.hubs import Hub, HubError, find_hub, living_hubs
 from runtime.messages import Message, Reply
 
 M = TypeVar("M", bound=Message)
@@ -25,29 +26,38 @@ class Client:
         self.bus = bus
         self.robot = hub.robot
 
+    @property
+    def alive(self) -> bool:
+        """The robot's group runs; of one on another host it is taken for granted."""
+        return not self.hub.pid or any(hub.endpoint == self.hub.endpoint for hub in living_hubs())
+
     def ask(self, message: Message, timeout_s: float | None = None) -> list[Reply]:
         """All replies, from everybody who serves this request."""
         return self.bus.request(message, timeout_s)
 
     def gather(self, enough: Callable[[Message], bool], timeout_s: float) -> list[Message]:
-        """Messages of the types subscribed to, until one is `enough` or time is up."""
+        """Messages of the types subscribed to, until one is `enough` or time is up.
+
+        What came together with that one is there, too.
+        """
         gathered: list[Message] = []
         deadline = time.monotonic() + timeout_s
         while (left := deadline - time.monotonic()) > 0:
-            for item in self.bus.wait(left):
-                if not isinstance(item, Question):
-                    gathered.append(item)
-                    if enough(item):
-                        return gathered
+            came = [item for item in self.bus.wait(left) if not isinstance(item, Question)]
+            gathered += came
+            if any([enough(message) for message in came]):  # every one is shown to it
+                break
         return gathered
 
 
 def add_robot_argument(parser: argparse.ArgumentParser, *, first: bool = False) -> None:
     """`--robot NAME`, as every command that talks to a robot has it; `first`: also as a word."""
     text = "which robot; not needed when one runs"
-    parser.add_argument("--robot", default="", metavar="NAME", help=text)
+    words = [parser.add_argument("--robot", default="", metavar="NAME", help=text)]
     if first:  # suppressed: when it is left out it must not undo --robot
-        parser.add_argument("robot", nargs="?", default=argparse.SUPPRESS, help=text)
+        words.append(parser.add_argument("robot", nargs="?", default=argparse.SUPPRESS, help=text))
+    for word in words:
+        completed_by(word, robots)
 
 
 def take_robot(args: argparse.Namespace, words: list[str]) -> str:

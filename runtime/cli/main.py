@@ -13,6 +13,7 @@ import ast
 import functools
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,7 +29,7 @@ start here:
   myograft up elbow                start the simulated one-joint arm
   myograft task sweep              (another terminal) run a task
   myograft plug biceps_3           plug in a fourth muscle and watch the arm take it in
-  myograft status                  who runs, who is plugged in, how they feel
+  myograft status --watch          who runs, who is plugged in, how they feel
 
 exit codes: 0 done, 1 refused or failed, 2 wrong usage, 3 no such robot is running
 """
@@ -62,6 +63,8 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit code."""
     words = sys.argv[1:] if argv is None else argv
     entries = _entries()
+    if "_ARGCOMPLETE" in os.environ:  # the shell asks how the line could go on
+        _complete(entries)
     if not words or words[0] in ("-h", "--help", "help"):
         print(_list_of_commands(entries))
         return DONE
@@ -104,6 +107,20 @@ def _run(name: str, command: Command, words: list[str]) -> int:
     except BrokenPipeError:  # the reader of a pipe has had enough
         sys.stderr.close()
         return DONE
+
+
+def _complete(entries: dict[str, Entry]) -> None:
+    """Tell the shell, and exit: only the command that stands on the line is imported."""
+    import argcomplete
+
+    line = os.environ.get("COMP_LINE", "").split()
+    parser = argparse.ArgumentParser(prog=DISTRIBUTION)
+    commands = parser.add_subparsers()
+    for name, entry in entries.items():
+        command = commands.add_parser(name, help=_first_line(entry))
+        if name in line[1:2]:
+            _load(entry).configure(command)
+    argcomplete.autocomplete(parser, always_complete_options=False)
 
 
 def _load(entry: Entry) -> Command:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import time
+import sys
+from collections import deque
+from importlib.util import find_spec
 
 import msgspec
 
 from runtime import messages as m
 from runtime.cli.client import Client, add_robot_argument, with_robot
-from runtime.cli.main import DONE
+from runtime.cli.main import DONE, NOT_RUNNING
 
-LISTEN_S = 0.15  # at most: what is retained or fast has arrived by then
+LISTEN_S = 0.5  # at most: a simulated robot that is whole has told everything long before
+WATCH_S = 1.0
+RECENT = 6  # events kept
 
 
 class Status:
@@ -27,26 +31,33 @@ class Status:
         """Add the arguments."""
         add_robot_argument(parser, first=True)
         parser.add_argument("--json", action="store_true", help="for programs")
-        parser.add_argument("--watch", action="store_true", help="again every second")
+        parser.add_argument("--watch", action="store_true", help="go on; Ctrl-C ends it")
 
     def run(self, args: argparse.Namespace) -> int:
         """Listen for a moment, then show."""
+        return with_robot(args.robot, lambda client: _look(client, args))
 
-        def look(client: Client) -> int:
-            picture = Picture(client.robot)
-            client.bus.subscribe(*Picture.inputs)
-            while True:
-                client.gather(picture.take, LISTEN_S)
-                if args.json:
-                    print(msgspec.json.encode(picture.as_dict()).decode(), flush=True)
-                else:
-                    start = "\033[H\033[J" if args.watch else ""
-                    print(start + picture.as_text(), flush=True)
-                if not args.watch:
-                    return DONE
-                time.sleep(1.0)
 
-        return with_robot(args.robot, look)
+def _look(client: Client, args: argparse.Namespace) -> int:
+    picture = Picture(client.robot)
+    client.bus.subscribe(*Picture.inputs)
+    client.gather(picture.take, LISTEN_S)
+    if args.watch and not args.json and sys.stdout.isatty() and find_spec("rich"):
+        from runtime.cli.live_status import watch
+
+        return watch(client, picture)
+    while True:
+        if args.json:
+            print(msgspec.json.encode(picture.as_dict()).decode(), flush=True)
+        else:
+            start = "\033[H\033[J" if args.watch and sys.stdout.isatty() else ""
+            print(start + picture.as_text(), flush=True)
+        if not args.watch:
+            return DONE
+        client.gather(lambda message: bool(picture.take(message) and False), WATCH_S)
+        if not client.alive:
+            print(f"{client.robot} has stopped", file=sys.stderr)
+            return NOT_RUNNING
 
 
 class Picture:
@@ -60,6 +71,10 @@ class Picture:
         m.ChainState,
         m.ExecutiveState,
         m.SchemaVersion,
+        m.JointState,
+        m.JointEstimate,
+        m.TrainingProgress,
+        m.Event,
     )
 
     def __init__(self, robot: str) -> None:
@@ -68,6 +83,10 @@ class Picture:
         self.group: m.GroupState | None = None
         self.executive: m.ExecutiveState | None = None
         self.schema: m.SchemaVersion | None = None
+        self.estimate: m.JointEstimate | None = None
+        self.training: m.TrainingProgress | None = None
+        self.angle_rad: dict[str, float] = {}  # measured
+        self.events: deque[m.Event] = deque(maxlen=RECENT)
         self.health: dict[str, m.Health] = {}
         self.bodies: dict[str, m.ChainBody] = {}
         self.states: dict[str, m.ChainState] = {}
@@ -89,6 +108,14 @@ class Picture:
                 self.bodies[message.chain] = message
             case m.ChainState():
                 self.states[message.chain] = message
+            case m.JointState():
+                self.angle_rad |= zip(message.joints, message.angle_rad, strict=False)
+            case m.JointEstimate():
+                self.estimate = message
+            case m.TrainingProgress():
+                self.training = message
+            case m.Event():
+                self.events.append(message)
         return self._complete
 
     @property
@@ -108,8 +135,8 @@ class Picture:
             "time_s": self.clock.stamp_ns / 1e9 if self.clock else None,
             "speed": self.clock.speed if self.clock else None,
             "real_time_factor": self.clock.real_time_factor if self.clock else None,
-            "processes": self._processes(),
-            "modules": self._modules(),
+            "processes": self.processes(),
+            "modules": self.modules(),
             "stage": self.executive.stage if self.executive else "",
             "task": self.executive.task if self.executive else "",
             "step": self.executive.step if self.executive else 0,
@@ -121,8 +148,8 @@ class Picture:
     def as_text(self) -> str:
         """For a person."""
         lines = [self._headline()]
-        lines += ["", *_table("process state restarts pid tick_hz cpu_% MB", self._processes())]
-        if modules := self._modules():
+        lines += ["", *_table("process state restarts pid tick_hz cpu_% MB", self.processes())]
+        if modules := self.modules():
             lines += ["", *_table("module kind chain id serial N degC state", modules)]
         return "\n".join(lines)
 
@@ -141,7 +168,8 @@ class Picture:
             )
         return "  |  ".join(parts)
 
-    def _processes(self) -> list[dict[str, object]]:
+    def processes(self) -> list[dict[str, object]]:
+        """One row a process."""
         rows = []
         for row in self.group.processes if self.group else ():
             health = self.health.get(row.process)
@@ -160,7 +188,8 @@ class Picture:
             )
         return rows
 
-    def _modules(self) -> list[dict[str, object]]:
+    def modules(self) -> list[dict[str, object]]:
+        """One row a module, in the order of the chains."""
         return [
             {
                 "module": module.name or "(new)",
@@ -170,6 +199,8 @@ class Picture:
                 "serial": f"{module.serial:08x}",
                 "N": self._felt(body.chain, module.name, "tension_n"),
                 "degC": self._felt(body.chain, module.name, "temperature_degc"),
+                "limit_N": module.tension_limit_n,
+                "link_errors": module.link_errors,
                 "state": f"{module.state} {module.fault}".strip(),
             }
             for body in self.bodies.values()

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 from runtime.cli.client import add_robot_argument
+from runtime.cli.completion import completed_by, robots
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, USAGE
 from runtime.hubs import Hub, HubError, find_hub, living_hubs, set_state_aside
 from runtime.manifest import can_view
@@ -36,7 +37,8 @@ class Up:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("robot", nargs="*", default=["elbow"], help="default: elbow")
+        robot = parser.add_argument("robot", nargs="*", default=["elbow"], help="default: elbow")
+        completed_by(robot, robots)
         parser.add_argument("--name", default="", help="another name than the file's")
         parser.add_argument("--speed", type=float, default=1.0, help="robot time per wall time")
         parser.add_argument("--seed", type=int, default=0, help="of everything random")
@@ -131,10 +133,12 @@ def _attend(groups: list[Group]) -> int:
 def _tell_when_ready(groups: list[Group], told: threading.Event) -> None:
     started_s = time.monotonic()
     for group in groups:
-        while not (told.is_set() or group.wait_ready(0.2)):
+        while not (told.is_set() or (group.wait_ready(0.2) and group.time_told)):
+            told.wait(0.02)
             if time.monotonic() > started_s + 30:
                 waiting = [row.process for row in group.rows if row.state != "ready"]
-                print(f"{group.settings.name}: still waiting for {', '.join(waiting)}")
+                what = ", ".join(waiting) or "the world to tell the time"
+                print(f"{group.settings.name}: still waiting for {what}")
                 return
         if not told.is_set():
             took_s = time.monotonic() - started_s

@@ -39,6 +39,7 @@ class Estimator:
 
     inputs: tuple[type[Message], ...] = (ChainState, SchemaVersion)
     requests: tuple[type[Message], ...] = ()
+    outputs: tuple[type[Message], ...] = (JointEstimate,)
     period_ns = 100_000_000  # acts on what arrives; nothing falls due by itself
 
     def __init__(self, settings: RobotSettings) -> None:

@@ -125,5 +125,6 @@ def test_ctrl_c_parks_both_and_exits_0(fleet: Fleet) -> None:
         assert "park" in stages, f"{name} was not parked, but went through {stages}"
         rest_rad = np.radians(0.0)
         assert angle_rad(watch) == pytest.approx(rest_rad, abs=STILL_RAD)
+        assert f"{name}: parked\n" in fleet.up.lines
         assert f"{name}: stopped\n" in fleet.up.lines
     assert living_hubs() == []

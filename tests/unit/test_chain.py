@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -341,6 +343,9 @@ def test_switch_board() -> None:
         faults.set("fire", "arm")
     with pytest.raises(ValueError, match="cannot have the amount 2"):
         faults.set("drop", "arm", 2.0)
+    for odd in (math.nan, math.inf, -1.0):
+        with pytest.raises(ValueError, match="cannot have the amount"):
+            faults.set("overheat", "arm", odd)
 
 
 # ── whatever comes ────────────────────────────────────────────────────────────────────────────

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from runtime.cli.main import DONE, NOT_RUNNING, USAGE, _entries, _load, main
+from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, USAGE, _entries, _load, main
 
 
 @pytest.fixture(autouse=True)
@@ -56,6 +57,10 @@ def test_a_slip_of_the_finger_gets_a_hint(capsys: pytest.CaptureFixture[str]) ->
         ["plug", "biceps_3"],
         ["topic", "echo", "Event"],
         ["estop"],
+        ["fault", "list"],
+        ["fault", "rupture", "biceps_1"],
+        ["events", "-f"],
+        ["status", "--watch"],
     ],
 )
 def test_without_a_robot_they_say_how_to_start_one(
@@ -76,6 +81,12 @@ def test_without_a_robot_they_say_how_to_start_one(
         (["up", "elbow", "--only", "nobody"], "estimator"),
         (["up", "no_such_robot"], "no_such_robot"),
         (["plug", "new", "--path", "/nowhere.toml"], "/nowhere.toml"),
+        (["fault", "rupture"], "fault rupture TARGET"),
+        (["fault", "mend", "drop", "arm", "leg"], "mend [KIND] [TARGET]"),
+        (["topic", "echo"], "topic list"),
+        (["topic", "echo", "Plug"], "events"),
+        (["replay", "--speed", "nan"], "--speed"),
+        (["replay", "--robot", "a/b"], "letters"),
     ],
 )
 def test_wrong_usage_is_told_with_the_remedy(
@@ -88,6 +99,47 @@ def test_wrong_usage_is_told_with_the_remedy(
 def test_topic_list_is_the_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["topic", "list"]) == DONE
     assert "chain/{chain}/state" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [["replay"], ["events"], ["logs"], ["replay", "elbow"]])
+def test_without_a_run_they_say_what_to_give(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == REFUSED
+    assert "give a robot's name, a run's folder or a recording" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("myograft sta", {"status"}),
+        ("myograft fault ru", {"rupture"}),
+        ("myograft plug biceps_", {"biceps_1", "biceps_2", "biceps_3"}),
+        ("myograft task sw", {"sweep"}),
+        ("myograft reach forearm", {"forearm_rotation="}),
+        ("myograft up musashi_a", {"musashi_arm"}),
+        ("myograft replay --check ", {"estimator"}),
+    ],
+)
+def test_a_line_is_completed(line: str, words: set[str], tmp_path: Path) -> None:
+    answer = tmp_path / "answer"
+    environment = {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_IFS": "\n",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+    }
+    subprocess.run(
+        [sys.executable, "-m", "runtime.cli.main"], env={**os.environ, **environment}, check=False
+    )
+    assert {word.strip() for word in answer.read_text().split("\n") if word} == words
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_gets_its_code(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", shell]) == DONE
+    assert "myograft" in capsys.readouterr().out
 
 
 def test_doctor_finds_this_host_sound(capsys: pytest.CaptureFixture[str]) -> None:

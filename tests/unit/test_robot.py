@@ -209,7 +209,8 @@ def test_a_module_that_returns_has_its_serial_number_id_and_registers_but_not_it
         ("stuck", "far", "nothing called 'far' can have that; there are: .*, elbow$"),
         ("drop", "tail", "nothing called 'tail' can have that; there are: .*, far$"),
         ("melt", "flexor", "no fault 'melt'; there are"),
-        ("drop", "near", "drop cannot have the amount 2"),
+        ("drop", "near", "drop cannot have the amount 2, but any from 0 to 1"),
+        ("delay", "near", "delay cannot have the amount 2, but any from 0 to 1"),
     ],
 )
 def test_faults_that_cannot_be_are_refused(
@@ -367,3 +368,46 @@ def test_watchdogs_do_not_count_the_time_that_passed_without_them(
     assert other.bank.tripped[0] == 0.0
     run(other, 100)
     assert other.bank.tripped[0] == 1.0
+
+
+# ── mending ───────────────────────────────────────────────────────────────────────────────────
+
+
+def mend(robot: SimulatedRobot, kind: str = "", target: str = "") -> str:
+    return robot.fault(m.Fault(action="mend", kind=kind, target=target)).text
+
+
+def test_a_cable_pulled_in_mid_chain_silences_all_behind_it_until_it_is_mended(
+    robot: SimulatedRobot,
+) -> None:
+    robot.fault(m.Fault(kind="cable", target="extensor"))
+    assert ids(robot, "near") == [2]
+    assert ids(robot, "far") == [2, 101]
+    robot.fault(m.Fault(kind="cable", target="near", amount=0))
+    assert ids(robot, "near") == []
+    assert mend(robot, target="near") == "mended: cable on 'near'"
+    assert ids(robot, "near") == [2]
+    mend(robot)
+    assert ids(robot, "near") == [2, 3, 100]
+
+
+def test_what_is_mended_is_what_was_asked_for(robot: SimulatedRobot) -> None:
+    for kind, target in (("drop", "near"), ("drop", "far"), ("stuck", "flexor")):
+        robot.fault(m.Fault(kind=kind, target=target, amount=0.5))
+    assert mend(robot, "drop", "far") == "mended: drop on 'far'"
+    assert mend(robot, "drop") == "mended: drop on 'near'"
+    assert [fault.kind for fault in robot.faults.active] == ["stuck"]
+    assert mend(robot) == "mended: stuck on 'flexor'"
+    with pytest.raises(PlugError, match="that is not broken; there is: nothing"):
+        mend(robot)
+    with pytest.raises(PlugError, match="'melt'"):
+        robot.fault(m.Fault(action="melt"))
+
+
+def test_a_torn_wire_is_not_mended_by_a_word(robot: SimulatedRobot) -> None:
+    robot.fault(m.Fault(kind="rupture", target="flexor"))
+    with pytest.raises(PlugError, match="unplug the muscle and plug it in"):
+        mend(robot)
+    robot.fault(m.Fault(kind="drop", target="near", amount=0.1))
+    assert mend(robot) == "mended: drop on 'near'"
+    assert [fault.kind for fault in robot.faults.active] == ["rupture"]

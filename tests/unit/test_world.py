@@ -283,6 +283,13 @@ def test_hands_are_answered_in_words_and_heard_as_events(live: Live) -> None:
     assert [event.kind for event in live.told(m.Event)] == ["plugged", "fault", "unplugged"]
 
 
+def test_what_is_broken_is_listed(live: Live) -> None:
+    assert live.world.answer(m.Fault(action="list")).text == "nothing is broken"
+    live.world.answer(m.Fault(kind="drop", target="far", amount=0.5))
+    listed = live.world.answer(m.Fault(action="list"))
+    assert listed.ok and listed.data == {"drop far": "0.5"}
+
+
 # ── comeback ──────────────────────────────────────────────────────────────────────────────────
 
 

@@ -1,0 +1,189 @@
+"""`myograft status --watch` on a terminal: the robot as a table that changes in place."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from rich import box
+from rich.console import Console, ConsoleRenderable, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from runtime.cli.client import Client
+from runtime.cli.main import DONE, NOT_RUNNING
+from runtime.cli.status import Picture
+
+PERIOD_S = 0.25
+SILENT_S = 2.5  # the supervisor and every process speak once a second
+BAR = 12  # characters
+WIDE = 150  # characters: then processes stand beside modules
+WARM, HOT = 0.6, 0.85  # of a limit
+_LEVELS = {"info": "", "warning": "yellow", "error": "bold red"}
+_STATES = {"ready": "green", "up": "green", "starting": "yellow", "joining": "yellow"}
+
+
+def watch(client: Client, picture: Picture) -> int:
+    """Show the robot until Ctrl-C or until it stops."""
+    heard_s = time.monotonic()
+
+    def take(message: object) -> bool:
+        nonlocal heard_s
+        heard_s = time.monotonic()
+        picture.take(message)  # type: ignore[arg-type]
+        return False
+
+    with Live(screen=True, auto_refresh=False) as live:
+        try:
+            while client.alive:
+                client.gather(take, PERIOD_S)
+                wide = live.console.width >= WIDE
+                live.update(render(picture, time.monotonic() - heard_s, wide), refresh=True)
+        except KeyboardInterrupt:
+            return DONE
+    Console(stderr=True).print(f"{client.robot} has stopped", highlight=False)
+    return NOT_RUNNING
+
+
+def render(picture: Picture, silent_s: float = 0.0, wide: bool = False) -> ConsoleRenderable:
+    """The whole picture; `silent_s` since anything was heard, in two columns if `wide`."""
+    modules, rest = _modules(picture), _apart(_joints(picture), _processes(picture))
+    body: ConsoleRenderable = _apart(modules, rest)
+    if wide:
+        body = Table.grid(padding=(0, 4))
+        body.add_row(modules, rest)
+    return _apart(_headline(picture, silent_s), body, _events(picture))
+
+
+def _apart(first: ConsoleRenderable, *others: ConsoleRenderable) -> Group:
+    """One below the other, with a line between."""
+    return Group(first, *(part for other in others for part in (Text(), other)))
+
+
+def _headline(picture: Picture, silent_s: float) -> ConsoleRenderable:
+    line = Text()
+    ready = picture.group is not None and picture.group.ready
+    line.append(f" {picture.robot} ", "bold reverse")
+    line.append("  ready" if ready else "  not ready", "green" if ready else "bold yellow")
+    if executive := picture.executive:
+        stopped = executive.stage == "stopped"
+        line.append(f"   {executive.stage}", "bold red" if stopped else "bold cyan")
+        line.append(f" {executive.task}".rstrip())
+        if executive.steps:
+            line.append(f" {executive.step}/{executive.steps}")
+        if executive.growing:
+            line.append(f" taking in {executive.growing}", "cyan")
+    if picture.schema:
+        line.append(f"   schema {picture.schema.version} ({picture.schema.method})")
+    training = picture.training
+    if training and training.stage == "training" and training.epochs:
+        line.append(f"   epoch {training.epoch}/{training.epochs}", "cyan")
+    if clock := picture.clock:
+        slow = clock.real_time_factor < 0.9 * clock.speed
+        line.append(f"   {clock.stamp_ns * 1e-9:.1f} s")
+        line.append(f"  x{clock.real_time_factor:.2f}", "yellow" if slow else "")
+    if silent_s > SILENT_S:
+        line.append(f"   silent for {silent_s:.0f} s", "bold red")
+    return line
+
+
+def _modules(picture: Picture) -> Table:
+    table = _table("chain", "id>", "module", "N>", "of limit", "", "°C>", "errors>", "state")
+    chain = ""
+    for row in picture.modules():
+        limit = row["limit_N"]
+        tension = row["N"]
+        load, most = Text(), ""
+        if isinstance(tension, float) and isinstance(limit, float) and limit > 0:
+            load, most = _bar(tension / limit), f"{limit:.0f}"
+        state = str(row["state"])
+        table.add_row(
+            "" if row["chain"] == chain else str(row["chain"]),
+            str(row["id"]),
+            Text(str(row["module"]), "bold" if row["kind"] == "muscle" else ""),
+            _number(tension),
+            load,
+            Text(most, "dim"),
+            _number(row["degC"]),
+            str(row["link_errors"] or ""),
+            Text(state, _STATES.get(state, "bold red")),
+        )
+        chain = str(row["chain"])
+    return table
+
+
+def _joints(picture: Picture) -> Table:
+    table = _table("joint", "wanted>", "measured>", "estimated>", "±>", "off>")
+    executive, estimate = picture.executive, picture.estimate
+    wanted = dict(zip(executive.joints, executive.reference_rad, strict=False)) if executive else {}
+    felt = dict(zip(estimate.joints, estimate.angle_rad, strict=False)) if estimate else {}
+    wide = dict(zip(estimate.joints, estimate.confidence_rad, strict=False)) if estimate else {}
+    for joint in {**wanted, **picture.angle_rad}:
+        measured = picture.angle_rad.get(joint, math.nan)
+        off = measured - wanted.get(joint, math.nan)
+        table.add_row(
+            Text(joint, "bold"),
+            *(_degrees(x.get(joint, math.nan)) for x in (wanted, picture.angle_rad, felt, wide)),
+            _degrees(off),
+        )
+    return table
+
+
+def _processes(picture: Picture) -> Table:
+    table = _table("process", "state", "restarts>", "pid>", "Hz>", "CPU %>", "MB>", "dropped>")
+    for row in picture.processes():
+        state = str(row["state"])
+        table.add_row(
+            str(row["process"]),
+            Text(state, _STATES.get(state, "bold red")),
+            Text(str(row["restarts"] or ""), "yellow"),
+            str(row["pid"] or ""),
+            _number(row["tick_hz"]),
+            _number(row["cpu_%"]),
+            _number(row["MB"], 0),
+            str(row["dropped"] or ""),
+        )
+    return table
+
+
+def _events(picture: Picture) -> Table:
+    table = _table("s>", "event", "by", "says")
+    table.columns[-1].ratio = 1
+    table.expand = True
+    for event in sorted(picture.events, key=lambda event: event.stamp_ns):
+        style = _LEVELS.get(event.level, "")
+        table.add_row(
+            f"{event.stamp_ns * 1e-9:.1f}", event.kind, event.process, event.text, style=style
+        )
+    return table
+
+
+def _table(*columns: str) -> Table:
+    """Column titles; those that end in > are numbers."""
+    table = Table(box=box.SIMPLE_HEAD, header_style="dim", pad_edge=False, show_edge=False)
+    for title in columns:
+        number = title.endswith(">")
+        table.add_column(
+            title.rstrip(">"),
+            justify="right" if number else "left",
+            no_wrap=True,
+            overflow="ellipsis",
+        )
+    return table
+
+
+def _bar(share: float) -> Text:
+    """How much of a limit is used."""
+    share = min(max(share, 0.0), 1.0)
+    style = "red" if share > HOT else "yellow" if share > WARM else "green"
+    full = round(share * BAR)
+    return Text("█" * full, style).append("░" * (BAR - full), "dim")
+
+
+def _number(value: object, digits: int = 1) -> str:
+    return f"{value:.{digits}f}" if isinstance(value, int | float) else "-"
+
+
+def _degrees(angle_rad: float) -> str:
+    return "-" if math.isnan(angle_rad) else f"{math.degrees(angle_rad):.1f}°"

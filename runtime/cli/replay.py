@@ -1,0 +1,266 @@
+"""`myograft replay`: a recorded run, played back into Zenoh or led through a process again."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import os
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from runtime.bus import Bus, BusError
+from runtime.child import Child
+from runtime.cli.completion import completed_by, robots
+from runtime.cli.main import DONE, REFUSED, UsageError
+from runtime.hubs import Claim, Hub, HubError, free_endpoint
+from runtime.journal import About, JournalError
+from runtime.manifest import Spec, can_view
+from runtime.messages import Presence
+from runtime.player import Played, Player, kinds_played
+from runtime.retrace import Report, logics, retrace
+from runtime.runs import RunError, about_all, read_all, recordings
+from runtime.settings import RobotSettings, SettingsError, load_robot
+from runtime.settings_checks import NAME
+
+PICTURE_S = 20.0  # wall time that the picture may take to come up
+
+
+class Replay:
+    """Play a recorded run back, for everything that listens; or check a process against it.
+
+    RUN is a run's folder, a messages.mcap, or a robot's name for its last run; without it the last
+    run of all. While it plays the robot counts as running: look with `myograft view`, `status`,
+    `topic echo`. Its clock runs by the recording. Commands, bytes of the chains, training jobs and
+    verdicts are not played unless --topics names them: only a living robot should hear those.
+    A robot of that name must not be running; --robot plays it under another one.
+
+    --check feeds a process's logic what it took in, at the robot times at which it acted, and
+    compares what it says with what it said: the greatest difference of each field.
+
+    Examples:
+      myograft replay elbow
+      myograft replay elbow --speed 4
+      myograft replay run/messages.mcap --robot yesterday --topics ChainState,executive/state
+      myograft replay elbow --check estimator
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        run = parser.add_argument("run", nargs="?", default="", help="folder, messages.mcap, robot")
+        completed_by(run, robots)
+        parser.add_argument("--speed", type=float, default=1.0, help="inf: as fast as it goes")
+        parser.add_argument("--robot", default="", metavar="NAME", help="play it under this name")
+        parser.add_argument("--topics", default="", metavar="A,B", help="play only these")
+        parser.add_argument("--no-view", action="store_true", help="without the process viz")
+        parser.add_argument("--stay", action="store_true", help="at its end wait for Ctrl-C")
+        check = parser.add_argument("--check", default="", metavar="PROCESS", help="compare only")
+        completed_by(check, lambda: list(logics()))
+        parser.add_argument(
+            "--tolerance", type=float, default=0.0, help="--check: differences that may be"
+        )
+        parser.add_argument("--file", default="", help="the robot file, where it is not found")
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Find it, then play or check."""
+        if not args.speed > 0:
+            raise UsageError("--speed must be above 0")
+        if args.robot and not NAME.fullmatch(args.robot):
+            raise UsageError(f"robot name {args.robot!r} cannot be: letters, digits, '_', '-' only")
+        try:
+            files = recordings(args.run)
+            about = about_all(files)
+            if args.check:
+                return _check(args, files, about)
+            return _play(args, files, about)
+        except BrokenPipeError:
+            raise  # the reader of a pipe has had enough: no mistake
+        except (RunError, JournalError, HubError, BusError, OSError) as error:
+            print(f"myograft: {error}", file=sys.stderr)
+            return REFUSED
+
+
+def _settings(args: argparse.Namespace, about: About) -> RobotSettings:
+    """Of the robot that was recorded, under the name under which it is played.
+
+    Raises:
+        SettingsError: its file is not here any more.
+    """
+    file = args.file or about.robot_file
+    if not file:
+        raise SettingsError(f"the recording of {about.robot!r} names no robot file: give --file")
+    return load_robot(file, args.robot or about.robot)
+
+
+# ── playing ───────────────────────────────────────────────────────────────────────────────────
+
+
+def _play(args: argparse.Namespace, files: list[Path], about: About) -> int:
+    try:
+        kinds = kinds_played([name for name in args.topics.split(",") if name])
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    robot = args.robot or about.robot
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with _hub(robot) as (hub, bus), _picture(args, about, hub, bus, stop):
+        length_s = (about.end_ns - about.begin_ns) * 1e-9
+        when = datetime.fromtimestamp(about.begin_ns * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S")
+        print(f"{robot}: {length_s:.1f} s recorded {when} UTC; Ctrl-C ends it", flush=True)
+        progress = _Progress(robot, length_s)
+        played = Player(bus.publish, args.speed, stop).play(read_all(files, kinds), progress)
+        progress.over(played)
+        if args.stay and not stop.is_set():
+            print(f"{robot}: at its end, and stays; Ctrl-C ends it", flush=True)
+            stop.wait()
+    return DONE
+
+
+@contextlib.contextmanager
+def _hub(robot: str) -> Iterator[tuple[Hub, Bus]]:
+    """A hub of its own, registered under the robot's name, with a folder for its picture.
+
+    Raises:
+        HubError: a robot of that name is running.
+    """
+    with tempfile.TemporaryDirectory(prefix="myograft-replay-") as folder:
+        hub = Hub(
+            robot=robot,
+            pid=os.getpid(),
+            endpoint=free_endpoint(),
+            run_dir=folder,
+            started=datetime.now(UTC).isoformat(timespec="seconds"),
+        )
+        try:
+            claim = Claim(hub)
+        except HubError:
+            raise HubError(
+                f"{robot!r} is running: nothing is played into it. "
+                f"Play under another name: --robot {robot}_replayed"
+            ) from None
+        try:
+            with Bus(robot, "replay", listen=hub.endpoint) as bus:
+                yield hub, bus
+        finally:
+            claim.release()
+
+
+@contextlib.contextmanager
+def _picture(
+    args: argparse.Namespace, about: About, hub: Hub, bus: Bus, stop: threading.Event
+) -> Iterator[None]:
+    """The process viz beside the player, where there is Rerun and the robot's file."""
+    if args.no_view or not can_view():
+        yield
+        return
+    try:
+        settings = _settings(args, about)
+    except SettingsError as error:
+        print(f"{hub.robot}: played without its picture: {error}", flush=True)
+        yield
+        return
+    gone = threading.Event()
+    child = Child(
+        Spec("viz"),
+        [
+            *("--robot", settings.file),
+            *("--name", hub.robot),
+            *("--run-dir", hub.run_dir),
+            *("--state-dir", hub.run_dir),
+            *("--endpoint", hub.endpoint),
+            *("--parent", str(os.getpid())),
+            "--told-time",
+        ],
+        Path(hub.run_dir) / "viz.log",
+        lambda child, code: gone.set(),
+    )
+    bus.subscribe(Presence)
+    child.start()
+    try:
+        if not _came_up(bus, stop, gone):
+            print(f"{hub.robot}: the picture did not come up; played without it", flush=True)
+        yield
+    finally:
+        child.terminate(3.0)
+
+
+def _came_up(bus: Bus, stop: threading.Event, gone: threading.Event) -> bool:
+    """Whether viz is ready; False when it ended, took too long, or nobody wants it any more."""
+    for _ in range(round(PICTURE_S / 0.1)):
+        if stop.is_set() or gone.is_set():
+            return False
+        for item in bus.wait(0.1):
+            if isinstance(item, Presence) and item.process == "viz" and item.alive:
+                return True
+    return False
+
+
+class _Progress:
+    """How far it is, on one line of a terminal."""
+
+    def __init__(self, robot: str, length_s: float) -> None:
+        self._robot = robot
+        self._length_s = length_s
+        self._line = sys.stdout.isatty()
+
+    def __call__(self, played: Played) -> None:
+        if self._line:
+            print(f"\r\033[K{self._words(played)}", end="", flush=True)
+
+    def over(self, played: Played) -> None:
+        start = "\r\033[K" if self._line else ""
+        print(f"{start}{self._words(played)}", flush=True)
+
+    def _words(self, played: Played) -> str:
+        speed = played.at_s / max(played.wall_s, 1e-9)
+        return (
+            f"{self._robot}: {played.at_s:.1f} of {self._length_s:.1f} s, "
+            f"{speed:.3g} times as fast as it was, {played.messages} messages"
+        )
+
+
+# ── checking ──────────────────────────────────────────────────────────────────────────────────
+
+
+def _check(args: argparse.Namespace, files: list[Path], about: About) -> int:
+    known = logics()
+    if args.check not in known:
+        raise UsageError(f"{args.check!r} cannot be checked; there is: {', '.join(known)}")
+    try:
+        settings = _settings(args, about)
+    except SettingsError as error:
+        raise UsageError(str(error)) from error
+    report = retrace(args.check, lambda: known[args.check](settings), read_all(files))
+    print(report_text(report))
+    return DONE if report.exact or report.within(args.tolerance) else REFUSED
+
+
+def report_text(report: Report) -> str:
+    """The report for a person."""
+    if not report.steps:
+        return f"{report.process}: what it took in is not on record, so nothing can be compared"
+    lines = [
+        f"{report.process}: {report.steps} steps from {report.begin_ns * 1e-9:.3f} s to "
+        f"{report.end_ns * 1e-9:.3f} s of robot time",
+        f"{report.equal} of {report.compared} outputs are what was recorded, to the last bit",
+    ]
+    for name, row in sorted(report.differences.items()):
+        what = "not comparable" if math.isinf(row.greatest) else f"up to {row.greatest:.3g}"
+        lines.append(
+            f"  {name:<36} {what}, at {row.stamp_ns * 1e-9:.3f} s; differs in {row.messages}"
+        )
+    lacks = {
+        "recorded outputs it does not give again": report.silent,
+        "outputs that are not on record": report.invented,
+        "messages it took in that are not on record": report.unheard,
+        "steps that are not on record": report.lost_steps,
+        "recorded outputs of steps that are not on record": report.untold,
+    }
+    lines += [f"  {count} {what}" for what, count in lacks.items() if count]
+    return "\n".join(lines)

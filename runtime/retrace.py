@@ -1,0 +1,213 @@
+"""Leads a recording through a process's logic again and compares what it says with what it said.
+
+The logic gets what the process took in, in that order, and acts when it acted (`Steps`), on the
+recorded robot time. What it then says must be, to the last bit, what was recorded: a difference is
+a change of the code, or something that the recording lacks, which the report counts.
+
+A process can be retraced if its logic is built from the robot's settings alone, hears topics only
+and answers no requests; the table `myograft.logics` of pyproject.toml names these.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+from typing import Any, NamedTuple, Protocol
+
+import msgspec
+
+from runtime.journal import Entry
+from runtime.logic import Logic
+from runtime.messages import Message, Steps
+from runtime.settings import RobotSettings
+
+ENTRY_POINTS = "myograft.logics"
+LATE_NS = 100_000_000  # an output's stamp may be so much older than the step that gave it
+KEPT = 4096  # messages of one key that may still be taken in: seconds more than a mailbox holds
+
+log = logging.getLogger(__name__)
+
+Output = tuple[str, int]  # type and stamp
+
+
+class Retraceable(Logic, Protocol):
+    """A logic that says what it publishes."""
+
+    outputs: tuple[type[Message], ...]
+
+
+class Difference(NamedTuple):
+    """How far a field is from what was recorded, at worst."""
+
+    greatest: float  # in the field's unit; inf: of another kind, length or text
+    stamp_ns: int
+    messages: int  # in which it differs at all
+
+
+@dataclass
+class Report:
+    """What came of it."""
+
+    process: str
+    begin_ns: int = 0
+    end_ns: int = 0
+    steps: int = 0
+    compared: int = 0
+    equal: int = 0
+    differences: dict[str, Difference] = field(default_factory=dict)  # `JointEstimate.angle_rad`
+    silent: int = 0  # recorded, but not said again
+    invented: int = 0  # said, but not recorded
+    unheard: int = 0  # taken in by the process, but not recorded
+    lost_steps: int = 0  # steps that were not recorded
+    untold: int = 0  # recorded outputs of steps that were not
+
+    @property
+    def exact(self) -> bool:
+        """Everything recorded was said again, bit for bit, and nothing else."""
+        return self.compared > 0 and self.equal == self.compared and not self.odd
+
+    @property
+    def odd(self) -> int:
+        """Outputs that only one side has."""
+        return self.silent + self.invented
+
+    def within(self, tolerance: float) -> bool:
+        """Nothing differs by more than this, and both sides have the same outputs."""
+        worst = max((row.greatest for row in self.differences.values()), default=0.0)
+        return self.compared > 0 and not self.odd and worst <= tolerance
+
+
+def logics() -> dict[str, Callable[[RobotSettings], Retraceable]]:
+    """Processes that can be retraced, by name."""
+    return {entry.name: entry.load() for entry in entry_points(group=ENTRY_POINTS)}
+
+
+def retrace(process: str, make: Callable[[], Retraceable], entries: Iterable[Entry]) -> Report:
+    """Lead a recording through a logic.
+
+    Args:
+        process: whose logic it is, as in its `Steps`.
+        make: a new logic, for each start of the process.
+        entries: the whole recording, in the order written.
+    """
+    tracer = _Tracer(process, make)
+    for entry in entries:
+        tracer.take(entry)
+    return tracer.finish()
+
+
+class _Tracer:
+    def __init__(self, process: str, make: Callable[[], Retraceable]) -> None:
+        self._make = make
+        self._logic = make()
+        self._report = Report(process)
+        self._due: Steps | None = None
+        self._next = 0  # how many steps of this start of the process are known
+        self._spans: list[tuple[int, int]] = []  # robot time of which all steps are known
+        self._inputs: dict[str, dict[int, Message]] = {}
+        self._outputs: dict[Output, Message] = {}
+
+    def take(self, entry: Entry) -> None:
+        _, key, message = entry
+        if isinstance(message, Steps):
+            if message.process == self._report.process and _whole(message):
+                # One behind: what these steps took in may be written after them.
+                self._walk()
+                self._due = message
+        elif type(message) in self._logic.outputs:
+            self._outputs[type(message).__name__, message.stamp_ns] = message
+        elif type(message) in self._logic.inputs:
+            kept = self._inputs.setdefault(key.partition("/")[2], {})
+            kept[message.stamp_ns] = message
+            if len(kept) > KEPT:
+                del kept[next(iter(kept))]
+
+    def finish(self) -> Report:
+        self._walk()
+        report = self._report
+        for _, stamp_ns in self._outputs:
+            told = any(begin <= stamp_ns < end - LATE_NS for begin, end in self._spans)
+            report.silent += told
+            report.untold += not told
+        return report
+
+    def _walk(self) -> None:
+        steps, self._due = self._due, None
+        if steps is None:
+            return
+        report = self._report
+        if steps.begin == 0 and report.steps:
+            self._logic = self._make()
+            self._next = 0
+        begin_ns, end_ns = steps.tick_ns[0], steps.tick_ns[-1]
+        if self._spans and steps.begin and steps.begin == self._next:
+            begin_ns = self._spans.pop()[0]
+        self._spans.append((begin_ns, end_ns))
+        report.lost_steps += steps.begin - self._next
+        self._next = steps.begin + len(steps.tick_ns)
+        report.begin_ns = report.begin_ns or begin_ns
+        report.end_ns = end_ns
+        report.steps += len(steps.tick_ns)
+        heard = zip(steps.heard_key, steps.heard_ns, strict=True)
+        for now_ns, taken in zip(steps.tick_ns, steps.taken, strict=True):
+            for _ in range(taken):
+                place, stamp_ns = next(heard)
+                self._receive(steps.keys[place], stamp_ns, now_ns)
+            for said in self._logic.tick(now_ns):
+                if type(said) in self._logic.outputs:
+                    self._compare(said)
+
+    def _receive(self, key: str, stamp_ns: int, now_ns: int) -> None:
+        message = self._inputs.get(key, {}).get(stamp_ns)
+        if message is None:
+            self._report.unheard += 1
+            return
+        try:
+            self._logic.receive(message, now_ns)
+        except Exception as error:  # as in the live loop, it costs this message
+            log.warning("%s could not take %s: %r", self._report.process, key, error)
+
+    def _compare(self, said: Message) -> None:
+        kind = type(said).__name__
+        recorded = self._outputs.pop((kind, said.stamp_ns), None)
+        report = self._report
+        if recorded is None:
+            report.invented += 1
+            return
+        report.compared += 1
+        off = {
+            name: distance
+            for name, was in msgspec.structs.asdict(recorded).items()
+            if (distance := _distance(was, getattr(said, name)))
+        }
+        report.equal += not off
+        for name, distance in off.items():
+            former = report.differences.get(f"{kind}.{name}", Difference(0.0, 0, 0))
+            worst = max(former, Difference(distance, said.stamp_ns, 0))
+            report.differences[f"{kind}.{name}"] = worst._replace(messages=former.messages + 1)
+
+
+def _whole(steps: Steps) -> bool:
+    """Its lists fit each other; what a stranger published may not."""
+    heard = len(steps.heard_ns)
+    return (
+        len(steps.tick_ns) == len(steps.taken) > 0
+        and min(steps.taken) >= 0
+        and sum(steps.taken) == len(steps.heard_key) == heard
+        and all(0 <= place < len(steps.keys) for place in steps.heard_key)
+    )
+
+
+def _distance(was: Any, now: Any) -> float:
+    """0 when the same to the last bit; inf when they cannot be subtracted."""
+    if isinstance(was, tuple) and isinstance(now, tuple) and len(was) == len(now):
+        return max(map(_distance, was, now), default=0.0)
+    if was == now or (was != was and now != now):  # not a number, both
+        return 0.0
+    if isinstance(was, int | float) and isinstance(now, int | float):
+        distance = abs(was - now)
+        return math.inf if math.isnan(distance) else float(distance)
+    return math.inf

@@ -1,0 +1,190 @@
+"""A recording led through a logic again: the same to the last bit, or a report of what differs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+import msgspec
+import pytest
+
+from runtime import messages as m
+from runtime.cli.replay import report_text
+from runtime.journal import Entry
+from runtime.messages import Message, Reply
+from runtime.retrace import Report, logics, retrace
+from runtime.steps import EVERY_NS, StepLog
+from runtime.topics import key_of
+
+ROBOT = "elbow"
+TICK_NS = 5_000_000
+RUN_NS = 4 * EVERY_NS
+
+
+class Summing:
+    """Publishes, once a tick, the sum of all lengths that it has heard."""
+
+    inputs: tuple[type[Message], ...] = (m.ChainState,)
+    requests: tuple[type[Message], ...] = ()
+    outputs: tuple[type[Message], ...] = (m.JointEstimate,)
+    period_ns = TICK_NS
+
+    def __init__(self, gain: float = 1.0) -> None:
+        self.sum = 0.0
+        self.gain = gain
+
+    def receive(self, message: Message, now_ns: int) -> None:
+        assert isinstance(message, m.ChainState)
+        if message.mode == "bad":
+            raise ValueError("bad")
+        self.sum += self.gain * message.length_m[0]
+
+    def answer(self, request: Message, now_ns: int) -> Reply:
+        return Reply(ok=False)
+
+    def tick(self, now_ns: int) -> Iterable[Message]:
+        yield m.JointEstimate(
+            stamp_ns=now_ns,
+            joints=("elbow",),
+            angle_rad=(self.sum, math.nan),
+            confidence_rad=(),
+            muscles=(),
+            predicted_length_m=(),
+            predicted_tension_n=(),
+            anomaly=(),
+        )
+
+
+def state(stamp_ns: int, mode: str = "follow") -> m.ChainState:
+    return m.ChainState(
+        stamp_ns=stamp_ns,
+        chain="arm",
+        muscles=("biceps",),
+        length_m=(math.sin(stamp_ns),),
+        tension_n=(1.0,),
+        temperature_degc=(25.0,),
+        target_length_m=(0.0,),
+        mode=mode,
+    )
+
+
+def recorded(starts: int = 1, heard: Callable[[int], bool] = lambda n: n % 3 > 0) -> list[Entry]:
+    """A live run as the recorder has it: each third state is overwritten before it is heard."""
+    messages: list[Message] = []
+    now_ns = 0
+    for _ in range(starts):
+        logic, steps = Summing(), StepLog(ROBOT, "adder")
+        for n in range(RUN_NS // TICK_NS):
+            now_ns += TICK_NS
+            told = state(now_ns, "bad" if n == 7 else "follow")
+            messages.append(told)
+            if heard(n):
+                steps.take(told)
+                if told.mode != "bad":
+                    logic.receive(told, now_ns)
+            messages += logic.tick(now_ns)
+            if (summary := steps.act(now_ns)) is not None:
+                messages.append(summary)
+        if (rest := steps.rest()) is not None:
+            messages.append(rest)
+    return [Entry(n, key_of(ROBOT, message), message) for n, message in enumerate(messages)]
+
+
+def check(entries: list[Entry], gain: float = 1.0) -> Report:
+    return retrace("adder", lambda: Summing(gain), entries)
+
+
+def without(entries: list[Entry], lost: Callable[[Message], bool]) -> list[Entry]:
+    return [entry for entry in entries if not lost(entry.message)]
+
+
+@pytest.mark.parametrize("starts", [1, 3])
+def test_the_same_logic_gives_the_same_to_the_last_bit(starts: int) -> None:
+    report = check(recorded(starts))
+    assert report.exact
+    assert report.within(0.0)
+    assert report.compared == starts * RUN_NS // TICK_NS
+    assert (report.begin_ns, report.end_ns) == (TICK_NS, starts * RUN_NS)
+    assert "to the last bit" in report_text(report)
+
+
+def test_what_is_written_late_is_heard_all_the_same() -> None:
+    """The recorder has no order between processes: steps may be there before what they name."""
+    entries = recorded()
+    late = [i for i, entry in enumerate(entries) if isinstance(entry.message, m.Steps)]
+    for i in late:
+        entries[i - 6 : i + 1] = [entries[i], *entries[i - 6 : i]]
+    assert check(entries).exact
+
+
+def test_a_changed_logic_is_found_out_field_by_field() -> None:
+    report = check(recorded(), gain=1.0 + 1e-9)
+    assert not report.exact
+    assert not report.within(1e-12)
+    assert report.within(1e-6)
+    assert set(report.differences) == {"JointEstimate.angle_rad"}
+    worst = report.differences["JointEstimate.angle_rad"]
+    assert 0.0 < worst.greatest < 1e-6
+    assert worst.messages == report.compared - report.equal
+    assert f"differs in {worst.messages}" in report_text(report)
+
+
+def test_what_cannot_be_subtracted_differs_infinitely() -> None:
+    entries = recorded()
+    for i, entry in enumerate(entries):
+        if isinstance(entry.message, m.JointEstimate):
+            entries[i] = entry._replace(message=msgspec.structs.replace(entry.message, joints=()))
+    report = check(entries)
+    assert report.equal == 0
+    assert report.differences["JointEstimate.joints"].greatest == math.inf
+    assert not report.within(1e9)
+
+
+def test_what_the_recording_lacks_is_counted() -> None:
+    entries = recorded()
+    half_ns = RUN_NS // 2
+
+    def early_state(message: Message) -> bool:
+        return isinstance(message, m.ChainState) and message.stamp_ns < 10 * TICK_NS
+
+    assert check(without(entries, early_state)).unheard == 6
+
+    some = check(without(entries, lambda x: isinstance(x, m.JointEstimate) and x.stamp_ns < 50e6))
+    assert (some.invented, some.silent, some.exact) == (9, 0, False)
+
+    more = msgspec.structs.replace(Summing().tick(0).__next__(), stamp_ns=half_ns + 1)  # type: ignore[attr-defined]
+    odd = check([Entry(0, key_of(ROBOT, more), more), *entries])
+    assert (odd.silent, odd.exact) == (1, False)
+
+    torn = check(without(entries, lambda x: isinstance(x, m.Steps) and x.stamp_ns > half_ns))
+    assert torn.exact
+    assert torn.untold > 0
+
+    holed = check(without(entries, lambda x: isinstance(x, m.Steps) and 0 < x.begin < 150))
+    assert holed.lost_steps == 100
+    assert holed.untold == 100
+    assert holed.silent == 0
+    assert not holed.exact, "its sum lacks what it heard meanwhile"
+
+    nothing = check(without(entries, lambda x: isinstance(x, m.Steps)))
+    assert not nothing.exact
+    assert "not on record" in report_text(nothing)
+
+
+def test_steps_that_do_not_fit_are_as_if_they_were_not_there() -> None:
+    steps = m.Steps(
+        process="adder",
+        begin=0,
+        tick_ns=(5,),
+        taken=(1,),
+        keys=("chain/arm/state",),
+        heard_key=(0,),
+        heard_ns=(5,),
+    )
+    odd = [{"taken": (2,)}, {"taken": (-1,)}, {"heard_key": (1,)}, {"tick_ns": ()}, {"keys": ()}]
+    entries = [Entry(0, "", msgspec.structs.replace(steps, **fields)) for fields in odd]
+    assert check([*entries, *recorded()]).exact
+
+
+def test_the_estimator_can_be_retraced() -> None:
+    assert m.JointEstimate in logics()["estimator"].outputs  # type: ignore[attr-defined]
