@@ -3,7 +3,7 @@
 A page of somebody else that is open in the same browser must not move the robot. It could ask by
 a name of its own that leads to this address (DNS rebinding): then the `Host` is not one of ours.
 It could send a request across (CSRF): then the `Origin` is not this page. From other hosts a token
-is asked for besides: as `Authorization: Bearer`, once as `?token=`, or on the page that asks for it.
+is asked for besides: as `Authorization: Bearer`, once as `?token=`, or typed in on a page.
 """
 
 from __future__ import annotations
