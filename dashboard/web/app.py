@@ -98,7 +98,7 @@ def make_app(
         return FileResponse(folder / name, media_type=embedded.FILES[name], headers=headers)
 
     async def relay(request: Request) -> Response:
-        if not embedded.CALLS.fullmatch(request.path_params["call"]):
+        if not embedded.CALLS.fullmatch(request.url.path):
             return said(404, "a viewer may read viz's stream, and nothing else")
         try:
             call = Relay(viewer_url())
@@ -146,7 +146,7 @@ def make_app(
             Route("/api/results/{name}", findings),
             Route("/api/results/{name}/{file}", picture),
             Route("/viewer/{name:path}", viewer),
-            Route("/{call:path}", relay, methods=["POST"]),
+            Route("/rerun.{call:path}", relay, methods=["POST"]),
             Mount("/static", StaticFiles(directory=STATIC)),
         ],
         middleware=[Middleware(Guard, rules=rules)],

@@ -30,7 +30,7 @@ FILES = {
     "favicon.ico": "image/x-icon",
 }
 # What a viewer may ask of viz: to read. A page must not write into the picture.
-CALLS = re.compile(r"rerun\.sdk_comms\.\w+\.MessageProxyService/Read\w+")
+CALLS = re.compile(r"/rerun\.sdk_comms\.\w+\.MessageProxyService/Read\w+")
 CHUNK = 64 * 1024
 
 _FONTS = re.compile(rb"<link[^>]*https://fonts\.[^>]*>")

@@ -87,8 +87,9 @@ class EventStream(StreamingResponse):
     """A feed as server-sent events, for as long as its listener takes them."""
 
     def __init__(self, feed: Feed) -> None:
+        self._feed = feed
         super().__init__(
-            _frames(feed), media_type="text/event-stream", headers={"Cache-Control": "no-store"}
+            self._frames(), media_type="text/event-stream", headers={"Cache-Control": "no-store"}
         )
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -98,14 +99,12 @@ class EventStream(StreamingResponse):
             async with asyncio.timeout(PATIENCE_S):
                 await send(message)
 
-        with contextlib.suppress(TimeoutError):
+        with self._feed.listen() as self._listener, contextlib.suppress(TimeoutError):
             await super().__call__(scope, receive, impatient)
 
-
-async def _frames(feed: Feed) -> AsyncIterator[bytes]:
-    with feed.listen() as listener:
+    async def _frames(self) -> AsyncIterator[bytes]:
         yield b"retry: 500\n\n"
-        while frames := await listener.take():
+        while frames := await self._listener.take():
             yield frames
 
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 
 import msgspec
 import uvicorn
+from starlette.types import ASGIApp
 
 from dashboard.web.app import make_app
 from dashboard.web.feed import Feed
@@ -53,18 +54,7 @@ async def _serve(launch: Launch, member: Member, place: Place) -> None:
         lambda: picture.viewer_url,
         folders_of(launch.settings),
     )
-    config = uvicorn.Config(
-        app,
-        log_config=None,
-        access_log=False,
-        lifespan="off",
-        ws="none",
-        ssl_certfile=place.certificate or None,
-        ssl_keyfile=place.key or None,
-        timeout_graceful_shutdown=1,
-        server_header=False,
-    )
-    server = _Server(config)
+    server = make_server(app, place)
     serving = asyncio.create_task(server.serve([place.socket]))
     member.subscribe(*Picture.inputs)
     member.ready()
@@ -123,6 +113,23 @@ async def _ask_for_versions(member: Member, picture: Picture) -> None:
         else:
             await asyncio.sleep(ASK_AGAIN_S)
             picture.versions_stale = True
+
+
+def make_server(app: ASGIApp, place: Place) -> uvicorn.Server:
+    """What serves `app`; `place` says whether over TLS."""
+    return _Server(
+        uvicorn.Config(
+            app,
+            log_config=None,
+            access_log=False,
+            lifespan="off",
+            ws="none",
+            ssl_certfile=place.certificate or None,
+            ssl_keyfile=place.key or None,
+            timeout_graceful_shutdown=1,
+            server_header=False,
+        )
+    )
 
 
 class _Server(uvicorn.Server):
