@@ -56,6 +56,7 @@ def test_a_slip_of_the_finger_gets_a_hint(capsys: pytest.CaptureFixture[str]) ->
         ["plug", "biceps_3"],
         ["topic", "echo", "Event"],
         ["estop"],
+        ["identify", "biceps_1"],
     ],
 )
 def test_without_a_robot_they_say_how_to_start_one(

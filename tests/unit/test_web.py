@@ -216,7 +216,9 @@ def test_names_of_this_host(page: Page, host: str) -> None:
     assert page.get("/", Host=host).status == 200
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:8800", "192.168.7.7", "localhost.x"])
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:8800", "192.168.7.7", "localhost.x"]
+)
 def test_a_name_that_somebody_else_has_given_us_is_refused(page: Page, host: str) -> None:
     answer = page.post("/api/request/estop", "{}", Host=host)
     assert answer.status == 421
@@ -269,9 +271,7 @@ def test_from_elsewhere_a_token_is_asked_for(guarded: Page) -> None:
         answer = guarded.post("/api/request/estop", "{}", Authorization=wrong)
         assert answer.status == 401
     assert guarded.asked == []
-    answer = guarded.post(
-        "/api/request/estop", "{}", Authorization=f"Bearer {token_of(guarded)}"
-    )
+    answer = guarded.post("/api/request/estop", "{}", Authorization=f"Bearer {token_of(guarded)}")
     assert answer.status == 200
 
 
@@ -426,7 +426,7 @@ class Viz(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     heard: tuple[str, dict[str, str], bytes]
 
-    def do_POST(self) -> None:  # noqa: N802
+    def do_POST(self) -> None:
         body = self.rfile.read(int(self.headers["Content-Length"]))
         Viz.heard = (self.path, {k.lower(): v for k, v in self.headers.items()}, body)
         self.send_response(200)
