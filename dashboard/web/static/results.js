@@ -11,7 +11,7 @@ async function get(address) {
 }
 
 function makeTable({ title, head, rows }) {
-  return el("section", {}, el("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": title },
+  return el("section", {}, el("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": title },
     el("table", {}, el("caption", {}, title),
       el("thead", {}, el("tr", {}, ...head.map((cell, i) =>
         i || cell ? el("th", { scope: "col", class: i ? "n" : "" }, cell) : el("td", {})))),
