@@ -64,7 +64,7 @@ export function showSpares(chains) {
   const free = spares.filter((spare) => !plugged.has(spare.name));
   keyed(byId("spare"), free, (spare) => spare.name,
     (spare) => el("option", { value: spare.name }, `${spare.name} on ${spare.chain}`), () => {});
-  byId("plug").querySelector("button").disabled = free.length === 0;
+  byId("plug").querySelector(".row").hidden = free.length === 0;
   say(byId("plug-note"), free.length ? "" : spares.length ? "Every spare is plugged in." : "This robot has no spare.");
 }
 

@@ -128,6 +128,7 @@ function alarm() {
     named("stopped") && ["bad", `Stopped and latched: all wires of chain ${named("stopped")} are slack. Reset lets the arm hold where it is.`],
     !serverLost && named("silent") && ["amber", `Chain ${named("silent")} is silent: its readings are old.`],
   ].filter(Boolean);
+  byId("reset").classList.toggle("main", Object.values(modes).includes("stopped"));
   keyed(byId("alarm"), all, ([, text]) => text, ([kind, text]) => el("p", { class: kind }, text), () => {});
 }
 
@@ -137,6 +138,7 @@ listen(take, (lost) => {
   serverLost = lost;
   document.body.classList.toggle("lost", lost);
   byId("controls").disabled = lost;
+  for (const button of document.querySelectorAll(".asks")) button.disabled = lost;
   if (lost) say(byId("stage"), "no connection");
   alarm();
 });

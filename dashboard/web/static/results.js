@@ -19,13 +19,15 @@ function makeTable({ title, head, rows }) {
         el("tr", {}, el("th", { scope: "row" }, first), ...rest.map((cell) => el("td", { class: "n" }, cell))))))));
 }
 
+const counted = (list, word) => `${list.length} ${word}${list.length === 1 ? "" : "s"}`;
+
 async function show(name) {
   const found = await get(`/api/results/${encodeURIComponent(name)}`);
   const where = `/api/results/${encodeURIComponent(name)}`;
   byId("pictures").replaceChildren(...found.pictures.map((file) =>
     el("img", { src: `${where}/${encodeURIComponent(file)}`, alt: `${file.replace(/\.\w+$/, "")}: a plot of the tables below`, loading: "lazy" })));
   byId("tables").replaceChildren(...found.tables.map(makeTable));
-  say(byId("note"), found.problem ?? `${found.tables.length} tables, ${found.pictures.length} pictures`);
+  say(byId("note"), found.problem ?? `${counted(found.tables, "table")}, ${counted(found.pictures, "picture")}`);
   document.title = `${found.title} - myograft`;
 }
 
