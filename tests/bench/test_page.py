@@ -24,7 +24,7 @@ from tests.e2e.conftest import PATIENCE_S, Command, Robot, elbow, home, running
 from tests.e2e.test_page import CHROMIUM, FLAGS
 
 pytest.importorskip("playwright.sync_api", reason="needs the extra myograft[dev]")
-from playwright.sync_api import Browser, Error, Page, sync_playwright  # noqa: E402
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 __all__ = ["home"]  # a fixture: a registry of this module's own
 pytestmark = pytest.mark.skipif(not CHROMIUM, reason="needs a browser: apt-get install chromium")
@@ -71,7 +71,7 @@ def test_controls_are_ready_soon(browser: Browser, tmp_path: Path) -> None:
     up = Command("up", file)
     try:
         page.goto(_announced(up))
-        page.wait_for_function("document.getElementById('stage').textContent === 'hold'")
+        expect(page.locator("#stage")).to_have_text("hold", timeout=30_000)
         assert page.get_by_role("button", name="Go there").is_enabled()
         tell("command to controls ready", time.monotonic() - began_s, READY_S, "s")
         assert find_hub("soon").robot == "soon"
@@ -99,7 +99,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
 def test_an_event_is_on_the_page_soon(browser: Browser, robot: Robot) -> None:
     page = browser.new_page()
     page.goto(address_file(robot.group.run_dir, "web").read_text())
-    page.wait_for_function("document.getElementById('stage').textContent !== 'connecting'")
+    expect(page.locator("#stage")).not_to_have_text("connecting", timeout=30_000)
     page.evaluate(
         "window.seen = {}; new MutationObserver(() => {"
         "  for (const item of document.querySelectorAll('#events li')) {"
@@ -123,10 +123,7 @@ def _publish(page: Page, robot: Robot) -> list[float]:
             sent_ms.append(1e3 * time.time())
             bus.publish(m.Event(process="bench", level="info", kind="bench", text=text))
             page.wait_for_timeout(float(rng.uniform(50, 250)))  # at any phase of the server's pace
-        try:
-            page.wait_for_function(f"Object.keys(window.seen).length === {EVENTS}")
-        except Error as error:
-            raise AssertionError(f"seen: {page.evaluate('window.seen')}") from error
+        expect(page.locator("#events")).to_contain_text(f"event {EVENTS - 1} of", timeout=10_000)
     seen_ms = page.evaluate("window.seen")
     return [(seen_ms[str(i)] - sent) / 1e3 for i, sent in enumerate(sent_ms)]
 
