@@ -17,7 +17,13 @@ from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.responses import (
+    FileResponse,
+    JSONResponse,
+    RedirectResponse,
+    Response,
+    StreamingResponse,
+)
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
@@ -86,16 +92,23 @@ def make_app(
         return FileResponse(STATIC / "login.html", status)
 
     async def viewer(request: Request) -> Response:
-        name = request.path_params["name"] or "index.html"
-        if name not in embedded.FILES:
-            return said(404, f"the viewer has no file '{name}'")
+        name, release = request.path_params["name"], embedded.release()
+        if request.path_params["release"] != release or name not in embedded.FILES:
+            return said(404, f"the viewer here is of release {release}, and has no file '{name}'")
         try:
             async with unpacking:
                 folder = await asyncio.to_thread(embedded.unpack)
         except (ViewerError, OSError) as error:
             return said(503, str(error))
-        headers = {"Cache-Control": "no-cache"}
+        headers = {"Cache-Control": "private, max-age=31536000, immutable"}
         return FileResponse(folder / name, media_type=embedded.FILES[name], headers=headers)
+
+    async def newest_viewer(request: Request) -> Response:
+        """Under its release, so that a browser may keep its 43 MB."""
+        where = f"/viewer/{embedded.release()}/index.html"
+        return RedirectResponse(
+            f"{where}?{request.url.query}", headers={"Cache-Control": "no-store"}
+        )
 
     async def relay(request: Request) -> Response:
         if not embedded.CALLS.fullmatch(request.url.path):
@@ -145,7 +158,8 @@ def make_app(
             Route("/api/results", listing),
             Route("/api/results/{name}", findings),
             Route("/api/results/{name}/{file}", picture),
-            Route("/viewer/{name:path}", viewer),
+            Route("/viewer/", newest_viewer),
+            Route("/viewer/{release}/{name}", viewer),
             Route("/rerun.{call:path}", relay, methods=["POST"]),
             Mount("/static", StaticFiles(directory=STATIC)),
         ],

@@ -14,7 +14,7 @@ import time
 import urllib.request
 from collections.abc import AsyncIterator
 from contextlib import suppress
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -40,6 +40,14 @@ class RelayError(RuntimeError):
     """Nobody serves a stream."""
 
 
+def release() -> str:
+    """The release of the viewer that is installed; "" when none is."""
+    try:
+        return version("rerun-sdk")
+    except PackageNotFoundError:
+        return ""
+
+
 def unpack() -> Path:
     """The folder with the viewer's files, of the release that is installed.
 
@@ -47,7 +55,7 @@ def unpack() -> Path:
         ViewerError: Rerun is not installed, or its binary did not serve the files.
     """
     binary = viewer_binary()
-    folder = state_home() / "viewer" / version("rerun-sdk")
+    folder = state_home() / "viewer" / release()
     if all((folder / name).exists() for name in FILES):
         return folder
     folder.mkdir(parents=True, exist_ok=True)

@@ -21,7 +21,7 @@ CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or ""
 pytest.importorskip("starlette", reason="needs the extra myograft[web]")
 playwright = pytest.importorskip("playwright.sync_api", reason="needs the extra myograft[dev]")
 from axe_playwright_python.sync_playwright import Axe  # noqa: E402
-from playwright.sync_api import Browser, Page, expect, sync_playwright  # noqa: E402
+from playwright.sync_api import Browser, Page, Request, expect, sync_playwright  # noqa: E402
 
 pytestmark = [
     pytest.mark.e2e,
@@ -200,6 +200,33 @@ def test_a_stop_that_does_not_get_through_is_said(page: Page) -> None:
     expect(page.locator("#answers .bad").last).to_contain_text("NOT SENT")
     expect(page.locator("#answers .bad").last).to_contain_text("myograft estop")
     page.unroute("**/api/request/estop")
+
+
+def test_a_page_that_nobody_sees_lets_go_of_its_stream(browser: Browser, address: str) -> None:
+    """A browser has six connections to one server: hidden pages must not keep a stop waiting."""
+    page = browser.new_page()
+    page.clock.install()
+    page.goto(address)
+    expect(page.locator("#stage")).to_have_text("hold")
+
+    def show(hidden: str) -> None:
+        page.evaluate(f"""() => {{
+            Object.defineProperty(document, "hidden", {{value: {hidden}, configurable: true}});
+            document.dispatchEvent(new Event("visibilitychange"));
+        }}""")
+
+    def is_stream(request: Request) -> bool:
+        return request.url.endswith("/api/stream")
+
+    show(hidden="true")
+    with page.expect_event("requestfailed", is_stream):
+        page.clock.fast_forward(6000)
+    with page.expect_request(is_stream):
+        show(hidden="false")
+    before = page.locator("#clock").inner_text()
+    expect(page.locator("#clock")).not_to_have_text(before)
+    expect(page.locator("#alarm")).to_be_empty()
+    page.close()
 
 
 def test_the_server_is_restarted_under_an_open_page(page: Page, robot: Robot, shots: Path) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from dashboard.web import embedded
 from dashboard.web import feed as feeds
 from dashboard.web.app import BY_WORD
 from dashboard.web.guard import Rules
@@ -67,7 +68,14 @@ def test_what_is_not_there_is_a_sentence(page: Page) -> None:
         answer = page.get(path)
         assert answer.status == 404
         assert answer.json["ok"] is False
-    assert page.get("/viewer/passwd").status == 404
+    assert page.get(f"/viewer/{embedded.release()}/passwd").status == 404
+    assert page.get("/viewer/0.1/index.html").status == 404
+
+
+def test_the_viewer_lies_under_its_release(page: Page) -> None:
+    answer = page.get("/viewer/?url=rerun%2Bhttp://localhost/proxy")
+    where = f"/viewer/{embedded.release()}/index.html?url=rerun%2Bhttp://localhost/proxy"
+    assert (answer.status, answer.headers["Location"]) == (307, where)
 
 
 def test_state_is_one_object_for_a_script(page: Page) -> None:

@@ -56,7 +56,7 @@ function frame() {
   const stream = `rerun+${location.origin}/proxy`;
   const theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
   const query = new URLSearchParams({ url: stream, hide_welcome_screen: "", persist: "false", theme });
-  const iframe = el("iframe", { src: `/viewer/index.html?${query}`, title: "Live view by Rerun", allow: "fullscreen" });
+  const iframe = el("iframe", { src: `/viewer/?${query}`, title: "Live view by Rerun", allow: "fullscreen" });
   iframe.addEventListener("load", () => iframe.contentWindow.addEventListener("keydown", onKey, true));
   return iframe;
 }
