@@ -1,7 +1,7 @@
 // Chains as they are strung: a master, then its modules in order, each with its gauges.
 
 import { ask } from "./ask.js";
-import { byId, el, keyed, say, twice } from "./dom.js";
+import { breakable, byId, el, keyed, say, twice } from "./dom.js";
 
 const AMBER = 0.8; // of a limit
 const HELD = new Map(); // "chain/module" -> until when its LED blinks
@@ -28,14 +28,14 @@ function makeMaster(chain) {
 function makeModule(chain, module, limit_degc) {
   const name = module.name || "(new)";
   const card = el("div", { class: "module" },
-    el("div", { class: "head" }, el("h4", {}, name), el("span", { class: "state" })),
+    el("div", { class: "head" }, el("h4", {}, ...breakable(name)), el("span", { class: "state" })),
     el("p", { class: "facts numbers" }), el("p", { class: "facts bad problem", hidden: true }));
   if (module.kind === "muscle") {
     card.append(gauge("tension", `tension of ${name}`), gauge("temperature", `temperature of ${name}`));
     card.dataset.limitDegc = limit_degc;
   }
   const led = el("span", { class: "led", "aria-hidden": "true" });
-  const identify = el("button", { type: "button", class: "small asks", "aria-label": `Identify ${name}: blink its LED`,
+  const identify = el("button", { type: "button", class: "small asks", "aria-label": `Identify ${name}: blink its LED`, disabled: !module.name,
     click: () => ask("identify", { chain, module: module.name }, `Identify ${name}`) }, led, " Identify");
   const row = el("div", { class: "row" }, identify);
   if (module.kind === "muscle") {

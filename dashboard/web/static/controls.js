@@ -1,6 +1,6 @@
 // What a person asks of the robot.
 
-import { ask } from "./ask.js";
+import { ask, show } from "./ask.js";
 import { byId, el, keyed, say } from "./dom.js";
 
 const METHODS = {
@@ -80,8 +80,8 @@ function makeJoint(joint) {
   number.addEventListener("input", touch(number, slider));
   const ends = el("div", { class: "ends", "aria-hidden": "true" },
     el("span", {}, `${joint.low_deg.toFixed(0)}°`), el("span", {}, `${joint.high_deg.toFixed(0)}°`));
-  return el("div", { class: "joint" },
-    el("label", { for: slider.id }, joint.name), el("div", {}, slider, ends), number, el("p", { class: "now" }));
+  const names = el("div", { class: "names" }, el("label", { for: slider.id }, joint.name), el("span", { class: "now" }));
+  return el("div", { class: "joint" }, names, el("div", {}, slider, ends), number);
 }
 
 export function showAngles(angles) {
@@ -111,6 +111,10 @@ async function reach(event) {
     if (!touched.has(joint.name)) continue;
     const row = byId("joints").querySelector(`[data-key="${CSS.escape(joint.name)}"]`);
     angle_rad[joint.name] = (Number(row.querySelector("[type=number]").value) * Math.PI) / 180;
+  }
+  if (!touched.size) {
+    show("Reach", "Nothing was asked for: move a slider, or type an angle.", "bad");
+    return;
   }
   const answer = await ask("reach", { angle_rad }, "Reach");
   if (answer.ok) touched.clear();

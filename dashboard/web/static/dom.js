@@ -14,6 +14,11 @@ export function el(tag, attributes = {}, ...children) {
   return element;
 }
 
+/** A name that may be broken after its underscores. */
+export function breakable(name) {
+  return name.split("_").flatMap((part, index) => (index ? ["_", el("wbr"), part] : [part]));
+}
+
 /** Set a text only if it is another one, so that nothing is announced or drawn for nothing. */
 export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;

@@ -11,6 +11,7 @@ const LEVELS = { info: "", warning: "amber", error: "bad" };
 let events = [];
 let supervised = true;
 let serverLost = true;
+let wasLost = false;
 let modes = {};
 
 const take = {
@@ -140,5 +141,7 @@ listen(take, (lost) => {
   byId("controls").disabled = lost;
   for (const button of document.querySelectorAll(".asks")) button.disabled = lost;
   if (lost) say(byId("stage"), "no connection");
+  else if (wasLost) view.again();
+  wasLost = lost;
   alarm();
 });

@@ -1,5 +1,5 @@
-// Rerun's own viewer beside the controls. It does not find its stream again after viz was
-// restarted, so its frame is made anew then.
+// Rerun's own viewer beside the controls. It does not find its stream again after viz or the
+// page's server was restarted, so its frame is made anew then.
 
 import { onKey } from "./controls.js";
 import { byId, el, say } from "./dom.js";
@@ -22,6 +22,12 @@ export function setUp() {
 
 export function showViewer(now) {
   viewer = now;
+  draw();
+}
+
+/** The server was away, and with it the viewer's stream. */
+export function again() {
+  shown = "";
   draw();
 }
 
@@ -53,7 +59,8 @@ function note() {
 }
 
 function frame() {
-  const stream = `rerun+${location.origin}/proxy`;
+  const port = location.port || (location.protocol === "https:" ? "443" : "80");
+  const stream = `rerun+${location.protocol}//${location.hostname}:${port}/proxy`;
   const theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
   const query = new URLSearchParams({ url: stream, hide_welcome_screen: "", persist: "false", theme });
   const iframe = el("iframe", { src: `/viewer/?${query}`, title: "Live view by Rerun", allow: "fullscreen" });
