@@ -126,7 +126,7 @@ class TaskPath(_Table, frozen=True, kw_only=True):
 class Web(_Table, frozen=True, kw_only=True):
     """`[web]`: where the robot's page is served."""
 
-    address: str = "127.0.0.1"  # to listen on; any but this host's own asks for a token
+    address: str = "127.0.0.1"  # to listen on; any but loopback asks for a token
     port: int = 8800  # or the next one that is free
     names: tuple[str, ...] = ()  # host names to be asked by, beside this host's own
     certificate: str = ""  # PEM files, seen from the robot file: with them it is TLS

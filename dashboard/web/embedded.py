@@ -118,6 +118,9 @@ class Relay:
         """
         try:
             self._reader, self._writer = await asyncio.open_connection(self._host, self._port)
+        except OSError as error:
+            raise RelayError(f"viz does not answer: {error}") from error
+        try:
             host, length = f"{self._host}:{self._port}", str(len(body))
             about = [(b"Host", host.encode()), (b"Content-Length", length.encode())]
             request = h11.Request(method="POST", target=path, headers=[*_plain(headers), *about])
@@ -126,6 +129,7 @@ class Relay:
             await self._writer.drain()
             answer = await self._next()
         except (OSError, h11.ProtocolError) as error:
+            self._writer.close()
             raise RelayError(f"viz does not answer: {error}") from error
         assert isinstance(answer, h11.Response)
         return answer.status_code, list(answer.headers), self._rest()

@@ -69,8 +69,9 @@ class Rules:
         try:
             address = ipaddress.ip_address(name.strip("[]"))
         except ValueError:
-            own = {socket.gethostname(), socket.getfqdn(), *self.names} if self.anywhere else set()
-            return name in {known.lower() for known in own}
+            here = socket.gethostname()
+            own = (here, f"{here}.local", *self.names) if self.anywhere else ()
+            return name in [known.lower() for known in own]
         return self.anywhere or address.is_loopback
 
     def fits(self, token: str | None) -> bool:

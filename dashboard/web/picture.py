@@ -125,7 +125,11 @@ class Picture:
         if now_s >= self._slow_due_s:
             self._slow_due_s = now_s + SLOW_S
             self._changed |= {"processes"}
-            yield "robots", {"here": self._settings.name, "robots": _robots(hubs)}
+            rows = [
+                {"name": name, "started": hub.started, "address": address}
+                for name, (hub, address) in hubs.items()
+            ]
+            yield "robots", {"here": self._settings.name, "robots": rows}
         changed, self._changed = self._changed, set()
         makers = {
             "robot": self._robot,
@@ -286,13 +290,6 @@ class Picture:
             self.viewer_url = event.data.get("url", "")
             self._viewers += 1
             self._changed.add("robot")
-
-
-def _robots(hubs: Mapping[str, tuple[Hub, str]]) -> list[dict[str, str]]:
-    return [
-        {"name": name, "started": hub.started, "address": address}
-        for name, (hub, address) in hubs.items()
-    ]
 
 
 def _version(row: m.VersionRow) -> dict[str, object]:

@@ -10,6 +10,7 @@ import ipaddress
 import os
 import secrets
 import socket
+import ssl
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,9 +44,11 @@ def take_place(settings: RobotSettings, run_dir: Path, state_dir: Path) -> Place
     """Listen where the robot file says.
 
     Raises:
-        PlaceError: the address is not this host's, or no port is free.
+        PlaceError: the address is not this host's, no port is free, or the certificate is none.
     """
     web = settings.web
+    certificate, key = (str(settings.beside(x)) if x else "" for x in (web.certificate, web.key))
+    _check(certificate, key)
     address = ipaddress.ip_address(web.address)
     note = address_file(run_dir, "web")
     listening = _listen(str(address), _ports(web.port, note))
@@ -63,8 +66,8 @@ def take_place(settings: RobotSettings, run_dir: Path, state_dir: Path) -> Place
         socket=listening,
         url=url,
         rules=Rules(settings.name, token, web.names, anywhere=not address.is_loopback),
-        certificate=str(settings.beside(web.certificate)) if web.certificate else "",
-        key=str(settings.beside(web.key)) if web.key else "",
+        certificate=certificate,
+        key=key,
         told=told,
     )
 
@@ -74,6 +77,16 @@ def told_address(run_dir: str) -> str:
     with suppress(OSError):
         return address_file(run_dir, "web").read_text().partition(" ")[0]
     return ""
+
+
+def _check(certificate: str, key: str) -> None:
+    if not certificate:
+        return
+    try:
+        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(certificate, key)
+    except (ssl.SSLError, OSError) as error:
+        what = f"{certificate} and {key} are no certificate with its key (PEM)"
+        raise PlaceError(f"{what}: {error}; see [web]") from error
 
 
 def _ports(first: int, note: Path) -> list[int]:

@@ -70,7 +70,10 @@ def test_controls_are_ready_soon(browser: Browser, tmp_path: Path) -> None:
     began_s = time.monotonic()
     up = Command("up", file)
     try:
-        page.goto(_announced(up))
+        address = _announced(up)
+        print()
+        tell("command to page announced", time.monotonic() - began_s, READY_S, "s")
+        page.goto(address)
         expect(page.locator("#stage")).to_have_text("hold", timeout=30_000)
         assert page.get_by_role("button", name="Go there").is_enabled()
         tell("command to controls ready", time.monotonic() - began_s, READY_S, "s")

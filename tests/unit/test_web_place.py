@@ -79,6 +79,14 @@ def test_a_token_that_is_given_is_the_one(tmp_path: Path, monkeypatch: pytest.Mo
     assert not (tmp_path / "state").exists()
 
 
+def test_a_certificate_that_is_none_is_refused_in_words(tmp_path: Path) -> None:
+    for name in ("page.pem", "key.pem"):
+        (tmp_path / name).write_text("nothing of the kind")
+    files = {"certificate": str(tmp_path / "page.pem"), "key": str(tmp_path / "key.pem")}
+    with pytest.raises(PlaceError, match=r"page\.pem and .*key\.pem are no certificate with its"):
+        take_place(elbow(port=FIRST, **files), tmp_path, tmp_path / "state")
+
+
 def test_an_address_of_another_host_is_refused_in_words(tmp_path: Path) -> None:
     with pytest.raises(PlaceError, match=r"cannot be served at 203\.0\.113\.7.*see \[web\]"):
         place(tmp_path, address="203.0.113.7")
