@@ -1,4 +1,4 @@
-// Small helpers: elements, and lists that keep their elements while their contents change.
+// Elements, and lists that keep their elements while their contents change.
 
 export const byId = (id) => document.getElementById(id);
 
