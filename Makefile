@@ -18,7 +18,7 @@ $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt torch
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt \
-		--editable ".[sim,learn,view,cluster,dev]"
+		--editable ".[sim,learn,view,web,cluster,dev]"
 	$(BIN)/python -c "import hardware_sim.robot"  # compiles, so that the first start need not
 	touch $@
 

@@ -33,7 +33,16 @@ import zenoh.ext as zext
 from runtime.envelope import EnvelopeError, decode, encode, encoding_of
 from runtime.mailbox import QUEUE_DEPTH, Mailbox
 from runtime.messages import Clock, Message, Presence, Reply
-from runtime.topics import BY_TYPE, REQUEST_BY_TYPE, TOKEN_KEY, Keep, Topic, key_of, key_pattern
+from runtime.topics import (
+    BY_TYPE,
+    REQUEST_BY_TYPE,
+    TOKEN_KEY,
+    TOPICS,
+    Keep,
+    Topic,
+    key_of,
+    key_pattern,
+)
 
 LOOPBACK = "tcp/127.0.0.1:0"
 LEASE_MS = 1000
@@ -77,6 +86,7 @@ class Bus:
         endpoint: the hub to connect to; "" is to be the first.
         listen: where to listen; "" is to be a client, who leaves no trace in the mesh.
         also: more endpoints to connect to, which need not be there: other robots' hubs.
+        most_hz: of LATEST topics that are faster, take in no more than this; 0: take in all.
 
     Raises:
         BusError: on entry, when nobody is at `endpoint`.
@@ -90,12 +100,15 @@ class Bus:
         endpoint: str = "",
         listen: str = LOOPBACK,
         also: tuple[str, ...] = (),
+        most_hz: float = 0.0,
     ) -> None:
         self.robot = robot
         self.process = process
         self.dropped = 0  # messages that could not be read, since start
         self.received: Counter[str] = Counter()  # message type -> read, since start
         self._config = _config(endpoint, listen, also)
+        if most_hz:
+            self._config.insert_json5("downsampling", json.dumps(_thinning(robot, most_hz)))
         self._where = endpoint or listen
         self._box: Mailbox[_Arrival | Presence] = Mailbox()
         self._declared: list[Any] = []  # kept alive: tokens die with their Python objects
@@ -156,7 +169,7 @@ class Bus:
         """
         row = REQUEST_BY_TYPE[type(message)]
         answers = self._session.get(
-            f"{self.robot}/{row.key}",
+            key_of(self.robot, message),
             payload=encode(message),
             encoding=encoding_of(type(message)),
             target=zenoh.QueryTarget.ALL,
@@ -219,10 +232,13 @@ class Bus:
             else self._session.declare_subscriber(key, arrived)
         )
 
-    def serve(self, *kinds: type[Message]) -> None:
-        """Answer requests of these types: they come out of `wait` as `Question`s."""
+    def serve(self, *kinds: type[Message], chain: str = "*") -> None:
+        """Answer requests of these types: they come out of `wait` as `Question`s.
+
+        Of requests that are a chain's, this one's only.
+        """
         for kind in kinds:
-            self._serve(kind)
+            self._serve(kind, chain)
 
     def wait(self, timeout_s: float) -> list[Message | Question]:
         """What arrived, oldest first, after at most this time. Reads, and drops what is odd."""
@@ -290,8 +306,8 @@ class Bus:
             )
         )
 
-    def _serve(self, kind: type[Message]) -> None:
-        key = key_pattern(self.robot, kind)
+    def _serve(self, kind: type[Message], chain: str) -> None:
+        key = key_pattern(self.robot, kind, chain)
 
         def asked(query: zenoh.Query) -> None:
             self._box.post(key, _Arrival(kind, query))
@@ -306,17 +322,17 @@ class Bus:
         except EnvelopeError as error:
             self._note_odd(str(error))
             if asked:
-                self._reply(sample, kind, Reply(ok=False, text=str(error)))
+                self._reply(sample, Reply(ok=False, text=str(error)))
             return None
         self.received[kind.__name__] += 1
         if asked:
-            return Question(message, lambda reply: self._reply(sample, kind, reply))
+            return Question(message, lambda reply: self._reply(sample, reply))
         return message
 
-    def _reply(self, query: zenoh.Query, kind: type[Message], reply: Reply) -> None:
+    def _reply(self, query: zenoh.Query, reply: Reply) -> None:
         named = msgspec.structs.replace(reply, data={**reply.data, "process": self.process})
         with query:
-            query.reply(key_pattern(self.robot, kind), encode(named), encoding=encoding_of(Reply))
+            query.reply(query.key_expr, encode(named), encoding=encoding_of(Reply))
 
     def _note_odd(self, text: str) -> None:
         self.dropped += 1
@@ -377,6 +393,13 @@ def _retaining_publisher(session: zenoh.Session, key: str, topic: Topic) -> zext
 
 def _cache_depth(topic: Topic) -> int:
     return HISTORY_DEPTH if topic.keep is Keep.HISTORY else 1
+
+
+def _thinning(robot: str, most_hz: float) -> list[dict[str, Any]]:
+    """Zenoh drops what comes too fast on its own threads, before Python hears of it."""
+    fast = [row for row in TOPICS if row.keep is Keep.LATEST and row.rate_hz > most_hz]
+    rules = [{"key_expr": key_pattern(robot, row.message), "freq": most_hz} for row in fast]
+    return [{"messages": ["put"], "flows": ["ingress"], "rules": rules}]
 
 
 def _read(kind: type[Any], sample: Any) -> Any:

@@ -59,6 +59,11 @@ def new_run_dir(robot: str) -> Path:
     return folder
 
 
+def address_file(run_dir: Path | str, process: str) -> Path:
+    """Where a process that people can look at writes its address, before it is ready."""
+    return Path(run_dir) / f"{process}.address"
+
+
 def free_endpoint() -> str:
     """An endpoint on the loopback where nobody listens."""
     with socket.socket() as probe:

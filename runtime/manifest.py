@@ -35,6 +35,7 @@ def processes_of(settings: RobotSettings) -> tuple[Spec, ...]:
         Spec("estimator"),
         Spec("executive"),
         Spec("retrainer", nice=10),  # learning never takes the processor from control
+        *((Spec("web", Restart.ON_FAILURE, nice=5),) if can_serve_page() else ()),
         *((Spec("viz", Restart.ON_FAILURE, nice=5),) if can_view() else ()),
     )
 
@@ -42,6 +43,11 @@ def processes_of(settings: RobotSettings) -> tuple[Spec, ...]:
 def can_view() -> bool:
     """Rerun is installed (the extra `view`)."""
     return importlib.util.find_spec("rerun") is not None
+
+
+def can_serve_page() -> bool:
+    """A web server is installed (the extra `web`)."""
+    return all(importlib.util.find_spec(name) is not None for name in ("starlette", "uvicorn"))
 
 
 def chosen(specs: tuple[Spec, ...], only: tuple[str, ...]) -> tuple[Spec, ...]:

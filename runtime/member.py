@@ -58,9 +58,9 @@ class Member:
         told = (kind for kind in kinds if kind is not Presence)
         self.bus.subscribe(*told, every=every, chain=chain, wake=wake)
 
-    def serve(self, *kinds: type[Message]) -> None:
-        """Answer requests of these types: they come out of `wait` as `Question`s."""
-        self.bus.serve(*kinds)
+    def serve(self, *kinds: type[Message], chain: str = "*") -> None:
+        """Answer requests of these types (see `Bus.serve`)."""
+        self.bus.serve(*kinds, chain=chain)
 
     def ready(self) -> None:
         """Follow robot time, and put up the liveliness token: this process counts as ready."""

@@ -236,6 +236,20 @@ class SchemaVersion(Message, frozen=True, kw_only=True):
     data: bytes  # safetensors
 
 
+class VersionRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One stored version, as the retrainer lists it: `rows` of its reply, a JSON array of these."""
+
+    version: int
+    state: str  # shipped | candidate | adopted | refused
+    active: bool
+    method: str
+    muscles: tuple[str, ...]
+    parent: int
+    residual_mm: dict[str, float]  # muscle -> length residual on held-out motion
+    train_s: float  # wall time that relearning took
+    reason: str  # of the verdict
+
+
 class SchemaCandidate(SchemaVersion, frozen=True, kw_only=True):
     """A relearned schema that nobody uses yet: it waits for held-out motion."""
 
@@ -350,6 +364,13 @@ class SchemaRequest(Message, frozen=True, kw_only=True):
 
     action: str
     version: int = 0
+
+
+class Identify(Message, frozen=True, kw_only=True):
+    """Let one module of a chain blink its LED, so that a person finds it."""
+
+    chain: str
+    module: str  # name of its muscle or joint
 
 
 class Fault(Message, frozen=True, kw_only=True):

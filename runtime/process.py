@@ -67,17 +67,24 @@ class Launch:
         return simulated(self.settings)
 
     @contextlib.contextmanager
-    def open_bus(self) -> Iterator[Member]:
+    def open_bus(self, most_hz: float = 0.0) -> Iterator[Member]:
         """A place on the bus for a process that keeps its own loop.
 
         SIGTERM, SIGINT and the supervisor's death set `member.stopping`, which the loop must look
         at; `member.ready()` puts up the liveliness token.
 
+        Args:
+            most_hz: of LATEST topics, take in no more than this (see `Bus`).
+
         Raises:
             BusError: the hub does not answer.
         """
         with Bus(
-            self.settings.name, self.process, endpoint=self.endpoint, also=self.connect
+            self.settings.name,
+            self.process,
+            endpoint=self.endpoint,
+            also=self.connect,
+            most_hz=most_hz,
         ) as bus:
             follow_world = self.simulated or self.told_time
             member = Member(bus, follow_world=follow_world, parent=self.parent)
@@ -102,7 +109,7 @@ class Launch:
             hurried = (kind for kind in logic.inputs if kind not in unhurried)
             member.subscribe(*hurried, chain=chain)
             member.subscribe(*unhurried, chain=chain, wake=False)
-            member.serve(*logic.requests)
+            member.serve(*logic.requests, chain=chain)
             member.ready()
             drive(logic, member, StepLog(self.settings.name, self.process) if traced else None)
 

@@ -123,6 +123,17 @@ class TaskPath(_Table, frozen=True, kw_only=True):
     back: str = ""  # the task that brings it back to where this one takes it
 
 
+class Web(_Table, frozen=True, kw_only=True):
+    """`[web]`: where the robot's page is served."""
+
+    address: str = "127.0.0.1"  # to listen on; any but loopback asks for a token
+    port: int = 8800  # or the next one that is free
+    names: tuple[str, ...] = ()  # host names to be asked by, beside this host's own
+    certificate: str = ""  # PEM files, seen from the robot file: with them it is TLS
+    key: str = ""
+    results: tuple[str, ...] = ()  # folders of experiments' results, seen from the robot file
+
+
 class Simulation(_Table, frozen=True, kw_only=True):
     """`[simulation]`: truth and imperfection of the simulated robot."""
 
@@ -156,6 +167,7 @@ class RobotSettings(_Table, frozen=True, kw_only=True):
     module: Module = Module()
     control: Control = Control()
     growth: Growth = Growth()
+    web: Web = Web()
     simulation: Simulation = Simulation()
     file: str = ""  # filled in by load_robot
 
@@ -167,14 +179,16 @@ class RobotSettings(_Table, frozen=True, kw_only=True):
     @property
     def body_file(self) -> Path:
         """The MJCF file."""
-        return (Path(self.file).parent / self.robot.body).resolve()
+        return self.beside(self.robot.body)
 
     @property
     def schema_file(self) -> Path | None:
         """The shipped schema, if the file names one."""
-        if not self.robot.schema:
-            return None
-        return (Path(self.file).parent / self.robot.schema).resolve()
+        return self.beside(self.robot.schema) if self.robot.schema else None
+
+    def beside(self, path: str) -> Path:
+        """A path as the robot file means it."""
+        return (Path(self.file).parent / path).resolve()
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ Each check yields its mistakes in the order of the file; the first one is what a
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -13,7 +14,7 @@ from typing import NamedTuple
 from runtime.body_checks import body_mistakes
 from runtime.messages import METHODS
 from runtime.settings import Joint, Muscle, RobotSettings, Spare, TaskPath
-from runtime.settings_file import Mistake, suggestion
+from runtime.settings_file import Mistake, shown, suggestion
 from runtime.toml_lines import KeyPath
 from runtime.wire.registers import BAUD_RATES, BY_NAME
 
@@ -68,6 +69,7 @@ RANGES = (
     _Range("growth", "bias_max_n"),
     _Range("growth", "residual_limit_mm"),
     _Range("payload", "mass_kg", high=1000),
+    _Range("web", "port", high=65_535),
     _Range("simulation", "assembly_error_m", high=0.1, low_too=True),
     _Range("simulation", "tension_noise_n", low_too=True),
     _Range("simulation", "length_noise_m", low_too=True),
@@ -86,6 +88,7 @@ def robot_mistakes(settings: RobotSettings) -> Iterator[Mistake]:
     yield from _ranges(settings)
     yield from _orders(settings)
     yield from _tasks(settings)
+    yield from _web(settings)
     yield from body_mistakes(settings)
 
 
@@ -263,6 +266,28 @@ def _tasks(settings: RobotSettings) -> Iterator[Mistake]:
                 + suggestion(task.back, names),
             )
         yield from _carrying(settings, index, task)
+
+
+def _web(settings: RobotSettings) -> Iterator[Mistake]:
+    """An address to listen on, and files that are there."""
+    web = settings.web
+    try:
+        ipaddress.ip_address(web.address)
+    except ValueError:
+        text = f"[web]: address '{web.address}' is no IP address; use 127.0.0.1 for this host only"
+        yield Mistake(("web", "address"), f"{text}, 0.0.0.0 for all of its addresses")
+    if bool(web.certificate) != bool(web.key):
+        given = "certificate" if web.certificate else "key"
+        yield Mistake(("web", given), "[web]: certificate and key go together: PEM files both")
+    for name in ("certificate", "key"):
+        path = getattr(web, name)
+        if path and not settings.beside(path).is_file():
+            file = shown(settings.beside(path))
+            yield Mistake(("web", name), f"[web]: {name} file {file} does not exist")
+    for index, folder in enumerate(web.results):
+        if not settings.beside(folder).is_dir():
+            file = shown(settings.beside(folder))
+            yield Mistake(("web", "results", index), f"[web]: results folder {file} does not exist")
 
 
 def _carrying(settings: RobotSettings, index: int, task: TaskPath) -> Iterator[Mistake]:

@@ -17,7 +17,15 @@ from pathlib import Path
 from runtime.backoff import BackoffPolicy
 from runtime.bus import Bus
 from runtime.child import Child
-from runtime.hubs import Claim, Hub, free_endpoint, living_hubs, new_run_dir, robot_home
+from runtime.hubs import (
+    Claim,
+    Hub,
+    address_file,
+    free_endpoint,
+    living_hubs,
+    new_run_dir,
+    robot_home,
+)
 from runtime.manifest import Spec, chosen, processes_of, simulated
 from runtime.member import EXECUTIVE, Member
 from runtime.messages import (
@@ -222,7 +230,9 @@ class Group:
         if child is None or not presence.alive or child.state != "starting":
             return False
         child.state = "ready"
-        self._say(f"{self.settings.name}: {presence.process} ready")
+        file = address_file(self.run_dir, presence.process)
+        address = f": {file.read_text()}" if file.exists() else ""
+        self._say(f"{self.settings.name}: {presence.process} ready{address}")
         if child.restarts:
             self._tell_event("process_restarted", "info", child, f"{presence.process} is back")
         return True

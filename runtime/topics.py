@@ -67,6 +67,7 @@ REQUESTS = (
     Request(m.Reset, "request/reset"),
     Request(m.Relearn, "request/relearn"),
     Request(m.SchemaRequest, "request/schema"),
+    Request(m.Identify, "chain/{chain}/identify"),
     Request(m.Fault, "request/fault"),
 )
 
@@ -78,8 +79,9 @@ REQUEST_BY_TYPE: dict[type[m.Message], Request] = {row.message: row for row in R
 
 
 def key_of(robot: str, message: m.Message) -> str:
-    """The full key a message is published on: robot first, fields filled in."""
-    return f"{robot}/{BY_TYPE[type(message)].key}".format_map(_Fields(message))
+    """The full key a message is published or asked on: robot first, fields filled in."""
+    row = BY_TYPE.get(type(message)) or REQUEST_BY_TYPE[type(message)]
+    return f"{robot}/{row.key}".format_map(_Fields(message))
 
 
 def key_pattern(robot: str, kind: type[m.Message], chain: str = "*") -> str:

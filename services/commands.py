@@ -18,8 +18,10 @@ from runtime.cli.client import (
 from runtime.cli.completion import completed_by, named
 from runtime.cli.main import DONE, REFUSED, USAGE
 from runtime.messages import Message
+from runtime.settings_file import suggestion
 
 STOP_PATIENCE_S = 10.0
+LISTEN_S = 2.0  # drivers tell once a second who is on their chains
 
 
 class Reach:
@@ -159,6 +161,44 @@ class Estop:
             return code
 
         return with_robot(args.robot, stop)
+
+
+class Identify:
+    """Let a module blink its LED for five seconds, so that you find it on the robot.
+
+    MODULE is the name of a muscle or a joint.
+
+    Examples:
+      myograft identify biceps_1
+    """
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument("words", nargs="+", metavar="[ROBOT] MODULE")
+        add_robot_argument(parser)
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Find the module's chain, and ask its driver."""
+        name = take_robot(args, args.words)
+
+        def blink(client: Client) -> int:
+            met: dict[str, str] = {}
+
+            def found(message: Message) -> bool:
+                if isinstance(message, m.ChainBody):
+                    met.update({module.name: message.chain for module in message.modules})
+                return name in met
+
+            client.bus.subscribe(m.ChainBody)
+            client.gather(found, LISTEN_S)
+            if name not in met:
+                text = f"myograft: no module '{name}' on any chain{suggestion(name, met)}"
+                print(text, file=sys.stderr)
+                return REFUSED
+            question = m.Identify(chain=met[name], module=name)
+            return show(client.ask(question), question)
+
+        return with_robot(args.robot, blink)
 
 
 class Reset:

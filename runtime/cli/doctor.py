@@ -19,6 +19,7 @@ PURPOSES = {
     "sim": "to simulate a robot",
     "learn": "to plan motions and relearn the body schema",
     "view": "to see the robot (Rerun) and plot",
+    "web": "to see and move the robot from a web page",
     "dev": "to work on the code",
 }
 

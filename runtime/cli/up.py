@@ -14,7 +14,7 @@ from runtime.cli.client import add_robot_argument
 from runtime.cli.completion import completed_by, robots
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, USAGE
 from runtime.hubs import Hub, HubError, find_hub, living_hubs, set_state_aside
-from runtime.manifest import can_view
+from runtime.manifest import can_serve_page, can_view
 from runtime.settings import SettingsError, load_robot
 from runtime.supervisor import Group
 
@@ -94,6 +94,8 @@ class Up:
             return USAGE
         if not can_view():
             print("no picture: install the extra `view` for it (myograft doctor)")
+        if not can_serve_page():
+            print("no web page: install the extra `web` for it (myograft doctor)")
         return _attend(groups)
 
 

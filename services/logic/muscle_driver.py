@@ -22,7 +22,14 @@ from runtime.wire.packet import InstructionPacket
 from runtime.wire.registers import BY_NAME, GOAL_BLOCK, PRESENT_BLOCK, HardwareError, Status
 from services.logic import sensing
 from services.logic.command_gate import CommandGate
-from services.logic.conversation import Conversation, Conversations, read
+from services.logic.conversation import (
+    Conversation,
+    Conversations,
+    RefusedError,
+    UnansweredError,
+    read,
+    write,
+)
 from services.logic.enumeration import Enumerator
 from services.logic.line import Line
 from services.logic.reception import Reception
@@ -31,6 +38,8 @@ from services.logic.stopping import Stopping
 
 PATIENCE_CYCLES = 8  # a reply may be that late; the next requests go out meanwhile
 RESCUE_NS = 100_000_000  # between two attempts to clear a tripped watchdog
+BLINKS = 10  # of an LED that is to be found
+BLINK_S = 0.5  # on and off again, of robot time
 
 _WATCHDOG = BY_NAME["bus_watchdog"]
 
@@ -45,7 +54,7 @@ class MuscleDriver:
     """
 
     inputs: tuple[type[Message], ...] = (m.BusReply, m.ChainCommand, m.Event)
-    requests: tuple[type[Message], ...] = (m.Estop, m.Reset)
+    requests: tuple[type[Message], ...] = (m.Estop, m.Reset, m.Identify)
 
     def __init__(self, settings: RobotSettings, chain: str, store: Store) -> None:
         self.chain = chain
@@ -88,6 +97,8 @@ class MuscleDriver:
 
     def answer(self, request: Message, now_ns: int) -> Reply:
         """`Estop` latches and goes out with the next tick; `Reset` lets the muscles hold."""
+        if isinstance(request, m.Identify):
+            return self._identify(request.module)
         self._gate.forget()
         self._urgent = True
         if isinstance(request, m.Reset):
@@ -245,6 +256,36 @@ class MuscleDriver:
         module.state, module.fault = "fault", ", ".join(words) or f"hardware error {bits:#04x}"
         text = f"{module.name} reports: {module.fault}"
         self._event("error", "fault", text, muscle=module.name, fault=module.fault)
+
+    def _identify(self, name: str) -> Reply:
+        module = self.roster.by_name(name)
+        if module is None:
+            known = ", ".join(x.name for x in self.roster.modules)
+            return Reply(ok=False, text=f"no module '{name}' on chain {self.chain}, only {known}")
+        if not module.there:
+            return Reply(ok=False, text=f"{name} does not answer on chain {self.chain}")
+        if module.blinking:
+            return Reply(ok=True, text=f"{name} is blinking already")
+        module.blinking = True
+        self._conversations.begin(self._blink(module))
+        text = f"{name} is told to blink: id {module.id} on chain {self.chain}"
+        return Reply(ok=True, text=text, data={"blink_s": f"{BLINKS * BLINK_S:g}"})
+
+    def _blink(self, module: Module) -> Conversation[None]:
+        half = max(1, round(BLINK_S * self.settings.rate_hz / 2))
+        try:
+            for change in range(2 * BLINKS):
+                yield from write(module.id, "led", (change + 1) % 2)
+                if change == 0:
+                    text = f"the LED of {module.name} blinks: id {module.id}, chain {self.chain}"
+                    self._event("info", "identify", text, muscle=module.name, id=module.id)
+                for _ in range(half):
+                    yield None
+        except (UnansweredError, RefusedError) as error:
+            text = f"{module.name} could not be told to blink: {error}"
+            self._event("warning", "identify_failed", text, muscle=module.name)
+        finally:
+            module.blinking = False
 
     def _event(self, level: str, kind: str, text: str, **data: object) -> None:
         words = {key: str(value) for key, value in data.items()}

@@ -25,6 +25,7 @@ from runtime.messages import (
     SchemaVersion,
     TrainingJob,
     TrainingProgress,
+    VersionRow,
 )
 from runtime.settings import RobotSettings
 from services.body_schema.growth import permuted
@@ -105,9 +106,11 @@ class Retrainer:
         if not isinstance(request, SchemaRequest):
             return Reply(ok=False, text=f"the retrainer does not know {type(request).__name__}")
         if request.action == "list":
-            known = self._versions.known.values()
-            data = {str(version.number): self._words(version) for version in known}
-            return Reply(ok=True, text=f"{len(data)} versions", data=data)
+            rows = self._versions.rows()
+            data = {str(row.version): _words(row) for row in rows}
+            text = f"{len(data)} versions"
+            data["rows"] = msgspec.json.encode(rows).decode()
+            return Reply(ok=True, text=text, data=data)
         if request.action == "rollback":
             return self._roll_back(request.version)
         return Reply(ok=False, text=f"'{request.action}' is neither list nor rollback")
@@ -262,12 +265,6 @@ class Retrainer:
             )
         )
 
-    def _words(self, version: Version) -> str:
-        active = self._versions.active
-        use = "active, " if active is not None and active.number == version.number else ""
-        words = f"{use}{version.state}, method {version.method}, {', '.join(version.muscles)}"
-        return f"{words} ({version.reason})" if version.state == REFUSED else words
-
 
 class _Run:
     """One job under way. `work` runs beside the logic: it touches `progress` alone."""
@@ -301,6 +298,14 @@ class _Run:
                     loss_old=loss_old,
                 )
             )
+
+
+def _words(row: VersionRow) -> str:
+    use = "active, " if row.active else ""
+    words = f"{use}{row.state}, method {row.method}, {', '.join(row.muscles)}"
+    if row.residual_mm:
+        words += f", off by {max(row.residual_mm.values()):.2f} mm at most"
+    return f"{words} ({row.reason})" if row.state == REFUSED else words
 
 
 def _event(level: str, kind: str, text: str, **data: str) -> Event:

@@ -36,6 +36,7 @@ class Module:
     garbled: int = 0  # of these, how many brought garbage instead
     rescued_ns: int = -(10**18)  # when its tripped watchdog was last cleared
     alert: bool = False
+    blinking: bool = False  # its LED, for somebody who looks for it
     reading: float = 0.0  # length [m] of a muscle, angle [rad] of a joint
     tension_n: float = 0.0
     temperature_degc: float = 0.0

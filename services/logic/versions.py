@@ -14,6 +14,7 @@ from collections.abc import Set
 import msgspec
 
 from runtime.logic import Store
+from runtime.messages import VersionRow
 from services.body_schema.schema import Schema, SchemaError
 
 SHIPPED, CANDIDATE, ADOPTED, REFUSED = "shipped", "candidate", "adopted", "refused"
@@ -76,6 +77,23 @@ class Versions:
             return Schema.from_bytes(self.known[number].data)
         why = "cannot be read" if number in self._numbers else "is not stored"
         raise SchemaError(f"schema version {number} {why}")
+
+    def rows(self) -> list[VersionRow]:
+        """All that can be read, as they are listed."""
+        return [
+            VersionRow(
+                version=version.number,
+                state=version.state,
+                active=version is self.active,
+                method=version.method,
+                muscles=version.muscles,
+                parent=version.parent,
+                residual_mm=version.residual_mm,
+                train_s=version.train_s,
+                reason=version.reason,
+            )
+            for version in self.known.values()
+        ]
 
     def of_job(self, job: str) -> Version | None:
         """The newest version that a training job made."""

@@ -56,6 +56,10 @@ def viewed(message: Message, _: int) -> bool:
     return isinstance(message, m.Event) and message.kind == "viewer"
 
 
+def paged(message: Message, _: int) -> bool:
+    return isinstance(message, m.Event) and message.kind == "page"
+
+
 DATA = {
     "world": Data(m.Clock, reborn),
     "driver-arm": Data(m.ChainState),
@@ -64,6 +68,7 @@ DATA = {
     "retrainer": Data(m.SchemaVersion),
     "recorder": Data(m.Health, healthy),
     "viz": Data(m.Event, viewed),
+    "web": Data(m.Event, paged),
 }
 noticed_s: dict[str, float] = {}
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
@@ -36,7 +38,8 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
     files = [elbow(folder, name).file for name in NAMES]
     up = Command("up", *files)
     try:
-        up.wait_line("viz ready", count=2)
+        for process in ("viz", "web"):
+            up.wait_line(f"{process} ready", count=2)
         with ExitStack() as stack:
             buses, watches = {}, {}
             for name in NAMES:
@@ -101,6 +104,19 @@ def test_neither_hears_the_other(fleet: Fleet) -> None:
         Watch(bus) as watch,
     ):
         watch.wait_for(m.WorldTruth, since=0, what="castor over pollux's hub: they share a network")
+
+
+def test_each_has_a_page_that_knows_the_other(fleet: Fleet) -> None:
+    lines = [line.split() for line in fleet.up.lines if "web ready" in line]
+    pages = {line[0].rstrip(":"): line[-1] for line in lines}
+    assert set(pages) == set(NAMES)
+    assert len(set(pages.values())) == 2
+    for name, address in pages.items():
+        with urllib.request.urlopen(f"{address}/api/state") as answer:
+            state = json.load(answer)
+        assert state["robot"]["name"] == name
+        known = {row["name"]: row["address"] for row in state["robots"]["robots"]}
+        assert known == pages
 
 
 def test_both_sweep_at_once(fleet: Fleet) -> None:

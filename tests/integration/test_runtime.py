@@ -18,15 +18,18 @@ import zenoh
 from mcap.reader import make_reader
 
 from runtime.backoff import BackoffPolicy, Restart
-from runtime.bus import Bus
+from runtime.bus import Bus, Question
 from runtime.hubs import HubError, free_endpoint, living_hubs
 from runtime.manifest import Spec
 from runtime.messages import (
     Event,
+    ExecutiveState,
     GroupState,
+    Identify,
     Message,
     Presence,
     Reach,
+    Reply,
     TrainingProgress,
 )
 from runtime.settings import RobotSettings, load_robot
@@ -205,6 +208,74 @@ def test_hurry_ends_a_long_parking() -> None:
         stopper.join(5)
         assert not stopper.is_alive()
         assert time.monotonic() - started_at < 5
+
+
+def test_a_chains_request_reaches_that_chains_driver_alone() -> None:
+    endpoint = free_endpoint()
+    with (
+        Bus("two", "test", listen=endpoint) as asker,
+        Bus("two", "driver-left", endpoint=endpoint) as left,
+        Bus("two", "driver-right", endpoint=endpoint) as right,
+    ):
+        over = threading.Event()
+
+        def answer(bus: Bus) -> None:
+            while not over.is_set():
+                for item in bus.wait(0.05):
+                    assert isinstance(item, Question)
+                    item.reply(Reply(ok=True, text=bus.process))
+
+        threads = []
+        for bus, chain in ((left, "left"), (right, "right")):
+            bus.serve(Identify, chain=chain)
+            threads.append(threading.Thread(target=answer, args=(bus,)))
+            threads[-1].start()
+        try:
+            for chain in ("left", "right", "left"):
+                replies: list[Reply] = []
+                deadline = time.monotonic() + 5
+                while not replies and time.monotonic() < deadline:  # they have yet to meet
+                    replies = asker.request(Identify(chain=chain, module="m"))
+                assert [reply.text for reply in replies] == [f"driver-{chain}"]
+            assert asker.request(Identify(chain="none", module="m"), timeout_s=1) == []
+        finally:
+            over.set()
+            for thread in threads:
+                thread.join()
+
+
+def test_who_wants_little_is_not_sent_much() -> None:
+    """States are thinned out before they are read; what happens once is not."""
+    endpoint = free_endpoint()
+    with (
+        Bus("thin", "driver-arm", listen=endpoint) as speaker,
+        Bus("thin", "all", endpoint=endpoint) as greedy,
+        Bus("thin", "few", endpoint=endpoint, most_hz=10.0) as modest,
+    ):
+        for bus in (greedy, modest):
+            bus.subscribe(ExecutiveState, TrainingProgress, every=True)
+        deadline = time.monotonic() + 10
+        while not (greedy.received and modest.received) and time.monotonic() < deadline:
+            speaker.publish(ExecutiveState(stage="hold"))
+            for bus in (greedy, modest):
+                bus.wait(0.02)
+        before = [bus.received.copy() for bus in (greedy, modest)]
+        due = time.monotonic()
+        for epoch in range(100):
+            speaker.publish(ExecutiveState(stage="hold"))
+            speaker.publish(TrainingProgress(job="j", stage="training", epoch=epoch))
+            due += 0.01
+            time.sleep(max(0.0, due - time.monotonic()))
+        took_s = 0.01 * 100 + time.monotonic() - due
+        for bus in (greedy, modest):
+            deadline = time.monotonic() + 2
+            last = False
+            while not last and time.monotonic() < deadline:
+                last = any(getattr(item, "epoch", 0) == 99 for item in bus.wait(0.1))
+        all_, few = (bus.received - was for bus, was in zip((greedy, modest), before, strict=True))
+        # Neither is sent so that it must arrive: on a busy machine one may be lost.
+        assert min(all_["TrainingProgress"], few["TrainingProgress"], all_["ExecutiveState"]) > 90
+        assert 3 <= few["ExecutiveState"] <= 10 * took_s + 2
 
 
 def test_split_over_hosts_by_a_router() -> None:

@@ -61,6 +61,7 @@ def test_a_slip_of_the_finger_gets_a_hint(capsys: pytest.CaptureFixture[str]) ->
         ["fault", "rupture", "biceps_1"],
         ["events", "-f"],
         ["status", "--watch"],
+        ["identify", "biceps_1"],
     ],
 )
 def test_without_a_robot_they_say_how_to_start_one(

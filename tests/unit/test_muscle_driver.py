@@ -478,3 +478,68 @@ def test_speaks_only_for_its_own_chain(bench: Bench) -> None:
     bench.run(0.05)
     assert bench.states[-1].mode == "hold"
     assert bench.events == []
+
+
+# ── identify ──────────────────────────────────────────────────────────────────────────────────
+
+
+def identify(bench: Bench, module: str) -> m.Reply:
+    return bench.ask(m.Identify(chain="arm", module=module))
+
+
+@pytest.mark.parametrize("module", ["m2", "elbow"])
+def test_a_module_that_is_looked_for_blinks_and_stops(bench: Bench, module: str) -> None:
+    (there,) = (x for x in bench.chain.modules if x.name == module)
+    led = BY_NAME["led"].address
+    reply = identify(bench, module)
+    assert reply.ok
+    assert f"id {there.id} on chain arm" in reply.text
+    seen = []
+    for _ in range(round(float(reply.data["blink_s"]) * 100) + 50):
+        bench.run(0.01)
+        seen.append(there.read(led, 1))
+    changes = sum(a != b for a, b in pairwise([b"\0", *seen]))
+    assert changes == 20  # ten times on and off again
+    assert seen[-1] == b"\0"
+    assert bench.kinds() == ["identify"]
+    assert bench.event("identify").data == {"muscle": module, "id": str(there.id)}
+    assert identify(bench, module).ok, "it can be looked for again"
+
+
+def test_only_that_modules_led_is_lit_and_the_readings_go_on(bench: Bench) -> None:
+    before = len(bench.states)
+    identify(bench, "m2")
+    bench.run(0.1)
+    assert [x.read(BY_NAME["led"].address, 1) for x in bench.chain.modules] == [b"\1", b"\0", b"\0"]
+    assert len(bench.states) - before == 20
+    assert identify(bench, "m2").text == "m2 is blinking already"
+
+
+def test_a_module_that_is_not_there_is_not_looked_for(bench: Bench) -> None:
+    reply = identify(bench, "m9")
+    assert not reply.ok
+    assert reply.text == "no module 'm9' on chain arm, only m2, m3, elbow"
+    bench.chain.unplug(bench.module("m3").serial)
+    bench.run_until(lambda: bench.info("m3").state == "lost")
+    assert identify(bench, "m3").text == "m3 does not answer on chain arm"
+
+
+def test_a_module_that_goes_while_it_blinks_is_told(bench: Bench) -> None:
+    identify(bench, "m3")
+    bench.run(0.1)
+    module = bench.module("m3")
+    bench.chain.unplug(module.serial)
+    bench.run_until(lambda: "identify_failed" in bench.kinds())
+    assert "could not be told to blink" in bench.event("identify_failed").text
+    bench.replug(module)
+    bench.run_until(lambda: bench.info("m3").state == "up")
+    assert identify(bench, "m3").ok
+
+
+def test_it_blinks_while_it_is_stopped_and_stays_stopped(bench: Bench) -> None:
+    bench.ask(m.Estop(reason="a test"))
+    bench.run_until(lambda: bench.states[-1].mode == "stopped")
+    assert identify(bench, "m2").ok
+    bench.run(0.1)
+    assert bench.module("m2").read(BY_NAME["led"].address, 1) == b"\1"
+    assert bench.states[-1].mode == "stopped"

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -167,6 +168,23 @@ def test_a_refused_candidate_is_kept_and_never_used(store: MemoryStore) -> None:
     assert "refused" in listed.data["2"]
     assert "9 mm off" in listed.data["2"]
     assert not retrainer.answer(m.SchemaRequest(action="rollback", version=2), 0).ok
+
+
+def test_versions_are_listed_with_their_figures(store: MemoryStore) -> None:
+    retrainer, _ = grown(store)
+    residual_mm = {"a": 0.25, "b": 0.5}
+    verdict = m.SchemaVerdict(job="job-1", adopted=True, reason="", residual_mm=residual_mm)
+    retrainer.receive(verdict, 0)
+    listed = retrainer.answer(m.SchemaRequest(action="list"), 0)
+    assert "off by 0.50 mm at most" in listed.data["2"]
+    rows = msgspec.json.decode(listed.data["rows"], type=list[m.VersionRow])
+    assert [(x.version, x.state, x.active) for x in rows] == [
+        (1, "shipped", False),
+        (2, "adopted", True),
+    ]
+    assert rows[1].residual_mm == residual_mm
+    assert rows[1].parent == 1
+    assert rows[0].muscles == Schema.from_bytes(SHIPPED).muscles
 
 
 def test_a_rollback_brings_the_old_version_back_under_its_number(store: MemoryStore) -> None:

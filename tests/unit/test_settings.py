@@ -153,6 +153,18 @@ MISTAKES = [
     ("n_new = 7", "n_new = 0", 48, "[growth]: n_new has to be above 0, found 0"),
     ("n_new = 7", 'method = "v"', 48, "no method 'v'; use one of i, ii, iii"),
     ("n_new = 7", "bias_min_n = 70", 47, "have to stand in this order"),
+    # the page
+    ("[growth]", "[web]\nport = 0\n[growth]", 48, "[web]: port has to be above 0 and at most"),
+    ("[growth]", "[web]\nport = 70000\n[growth]", 48, "at most 65535, found 70000"),
+    ("[growth]", "[web]\naddress = 'arm.lab'\n[growth]", 48, "'arm.lab' is no IP address; use"),
+    ("[growth]", "[web]\nkey = 'elbow.xml'\n[growth]", 48, "certificate and key go together"),
+    (
+        "[growth]",
+        "[web]\nkey = 'elbow.xml'\ncertificate = 'none.pem'\n[growth]",
+        49,
+        "[web]: certificate file none.pem does not exist",
+    ),
+    ("[growth]", "[web]\nresults = ['runs']\n[growth]", 48, "results folder runs does not exist"),
     # the body
     ("elbow.xml", "elbov.xml", 4, "elbov.xml does not exist; did you mean"),
     ("elbow.xml", "broken.xml", 4, "broken.xml is not XML: "),

@@ -78,7 +78,7 @@ def test_a_simulated_robot_has_a_world_and_a_real_one_has_none() -> None:
     robot = load_robot("elbow")
     names = [spec.process for spec in processes_of(robot)]
     assert names[:2] == ["world", "driver-arm"]
-    assert {"estimator", "executive", "retrainer", "recorder"} <= set(names)
+    assert {"estimator", "executive", "retrainer", "recorder", "web"} <= set(names)
     chain = msgspec.structs.replace(robot.chain[0], link="serial:///dev/ttyUSB0")
     real = msgspec.structs.replace(robot, chain=(chain,))
     assert "world" not in [spec.process for spec in processes_of(real)]

@@ -1,0 +1,44 @@
+// Requests to the robot, and what was really answered.
+
+import { byId, el } from "./dom.js";
+
+const SHOWN_MS = { good: 7000, bad: 20000 };
+const MOST = 4;
+
+/** Put a request; its answer is shown. Gives {ok, text}. */
+export async function ask(name, message, title) {
+  const answer = await put(name, message);
+  show(title, answer.text, answer.ok ? "good" : "bad");
+  return answer;
+}
+
+async function put(name, message) {
+  let response;
+  try {
+    response = await fetch(`/api/request/${name}`, {
+      method: "POST",
+      headers: { "Content-Type": "application/json" },
+      body: JSON.stringify(message),
+      signal: AbortSignal.timeout(15000),
+    });
+  } catch {
+    const advice = name === "estop" ? " Stop the robot by hand, or by: myograft estop" : "";
+    return { ok: false, text: `NOT SENT: the page's server does not answer.${advice}` };
+  }
+  try {
+    return await response.json();
+  } catch {
+    return { ok: false, text: `the page's server answered ${response.status}, and nothing to read` };
+  }
+}
+
+/** Show an answer for a while. */
+export function show(title, text, kind) {
+  const answers = byId("answers");
+  const close = el("button", { type: "button", class: "small", "aria-label": "Dismiss", click: () => answer.remove() }, "×");
+  const answer = el("div", { class: `answer ${kind}`, role: kind === "bad" ? "alert" : "status" },
+    el("strong", {}, title), close, el("span", {}, text));
+  answers.append(answer);
+  while (answers.children.length > MOST) answers.firstElementChild.remove();
+  setTimeout(() => answer.remove(), SHOWN_MS[kind]);
+}

@@ -1,0 +1,121 @@
+// What a person asks of the robot.
+
+import { ask, show } from "./ask.js";
+import { byId, el, keyed, say } from "./dom.js";
+
+const METHODS = {
+  i: "(i) new motions alone",
+  ii: "(ii) with replay of the old",
+  iii: "(iii) with fading replay",
+  iv: "(iv) by wires",
+};
+let joints = [];
+let spares = [];
+const touched = new Set();
+
+export function setUp() {
+  byId("estop").addEventListener("click", stop);
+  document.addEventListener("keydown", onKey, true);
+  byId("reset").addEventListener("click", () => ask("reset", {}, "Reset"));
+  byId("reach").addEventListener("submit", reach);
+  byId("as-it-is").addEventListener("click", () => touched.clear());
+  byId("plug").addEventListener("submit", (event) => {
+    event.preventDefault();
+    const muscle = byId("spare").value;
+    if (muscle) ask("plug", { muscle }, `Plug ${muscle}`);
+  });
+  byId("relearn").addEventListener("submit", (event) => {
+    event.preventDefault();
+    const n_new = Number(byId("n-new").value);
+    ask("relearn", { method: byId("method").value, n_new }, "Relearn");
+  });
+}
+
+/** Escape stops the arm, wherever the focus is. */
+export function onKey(event) {
+  if (event.key !== "Escape" || event.repeat) return;
+  event.preventDefault();
+  stop();
+}
+
+export function stop() {
+  ask("estop", { reason: "asked for on the web page" }, "Stop");
+}
+
+export function showRobot(robot) {
+  joints = robot.joints;
+  spares = robot.spares;
+  const tasks = [...robot.tasks.map((task) => [task.name, `${task.name} (${task.targets})`]), ["park", "park"], ["hold", "hold"]];
+  keyed(byId("tasks"), tasks, ([name]) => name,
+    ([name]) => el("button", { type: "button", click: () => ask("task", { name }, `Task ${name}`) }),
+    (button, [name, words]) => {
+      say(button, words);
+      button.classList.toggle("main", name === "hold");
+    });
+  keyed(byId("joints"), joints, (joint) => joint.name, makeJoint, () => {});
+  keyed(byId("method"), robot.methods, (name) => name,
+    (name) => el("option", { value: name, selected: name === robot.growth.method }, METHODS[name] ?? name), () => {});
+  if (!byId("n-new").value) byId("n-new").value = robot.growth.n_new;
+}
+
+export function showSpares(chains) {
+  const plugged = new Set(chains.flatMap((chain) =>
+    chain.modules.filter((module) => module.state !== "lost").map((module) => module.name)));
+  const free = spares.filter((spare) => !plugged.has(spare.name));
+  keyed(byId("spare"), free, (spare) => spare.name,
+    (spare) => el("option", { value: spare.name }, `${spare.name} on ${spare.chain}`), () => {});
+  byId("plug").querySelector(".row").hidden = free.length === 0;
+  say(byId("plug-note"), free.length ? "" : spares.length ? "Every spare is plugged in." : "This robot has no spare.");
+}
+
+function makeJoint(joint) {
+  const attributes = { min: joint.low_deg, max: joint.high_deg, value: joint.rest_deg };
+  const slider = el("input", { type: "range", step: "0.5", id: `joint-${joint.name}`, ...attributes });
+  const number = el("input", { type: "number", step: "any", "aria-label": `${joint.name}, degrees`, required: true, ...attributes });
+  const touch = (from, to) => () => {
+    touched.add(joint.name);
+    to.value = from.value;
+  };
+  slider.addEventListener("input", touch(slider, number));
+  number.addEventListener("input", touch(number, slider));
+  const ends = el("div", { class: "ends", "aria-hidden": "true" },
+    el("span", {}, `${joint.low_deg.toFixed(0)}°`), el("span", {}, `${joint.high_deg.toFixed(0)}°`));
+  const names = el("div", { class: "names" }, el("label", { for: slider.id }, joint.name), el("span", { class: "now" }));
+  return el("div", { class: "joint" }, names, el("div", {}, slider, ends), number);
+}
+
+export function showAngles(angles) {
+  for (const joint of joints) {
+    const row = byId("joints").querySelector(`[data-key="${CSS.escape(joint.name)}"]`);
+    const now = angles[joint.name];
+    if (!row || !now) continue;
+    const parts = [];
+    if (now.measured_deg != null) parts.push(`measured ${now.measured_deg.toFixed(1)}°`);
+    if (now.estimated_deg != null) {
+      const give = now.confidence_deg != null ? ` ± ${now.confidence_deg.toFixed(1)}°` : "";
+      parts.push(`by its muscles ${now.estimated_deg.toFixed(1)}°${give}`);
+    }
+    if (now.reference_deg != null) parts.push(`wanted ${now.reference_deg.toFixed(1)}°`);
+    say(row.querySelector(".now"), parts.join(" · "));
+    const where = now.reference_deg ?? now.measured_deg;
+    if (!touched.has(joint.name) && where != null && !row.contains(document.activeElement)) {
+      for (const input of row.querySelectorAll("input")) input.value = where.toFixed(1);
+    }
+  }
+}
+
+async function reach(event) {
+  event.preventDefault();
+  const angle_rad = {};
+  for (const joint of joints) {
+    if (!touched.has(joint.name)) continue;
+    const row = byId("joints").querySelector(`[data-key="${CSS.escape(joint.name)}"]`);
+    angle_rad[joint.name] = (Number(row.querySelector("[type=number]").value) * Math.PI) / 180;
+  }
+  if (!touched.size) {
+    show("Reach", "Nothing was asked for: move a slider, or type an angle.", "bad");
+    return;
+  }
+  const answer = await ask("reach", { angle_rad }, "Reach");
+  if (answer.ok) touched.clear();
+}

@@ -1,0 +1,65 @@
+// Elements, and lists that keep their elements while their contents change.
+
+export const byId = (id) => document.getElementById(id);
+
+/** An element: el("p", {class: "faint"}, "text", child). Functions are listeners. */
+export function el(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (typeof value === "function") element.addEventListener(name, value);
+    else if (value === true) element.setAttribute(name, "");
+    else if (value !== false && value != null) element.setAttribute(name, value);
+  }
+  element.append(...children);
+  return element;
+}
+
+/** A name that may be broken after its underscores. */
+export function breakable(name) {
+  return name.split("_").flatMap((part, index) => (index ? ["_", el("wbr"), part] : [part]));
+}
+
+/** Set a text only if it is another one, so that nothing is announced or drawn for nothing. */
+export function say(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** Let a parent hold one child a row, in order; what stays keeps its element, and so its focus.
+ *  make(row) gives an element; update(element, row) fills it. */
+export function keyed(parent, rows, key, make, update) {
+  const had = new Map([...parent.children].map((child) => [child.dataset.key, child]));
+  rows.forEach((row, index) => {
+    const name = String(key(row));
+    let child = had.get(name);
+    if (child) had.delete(name);
+    else {
+      child = make(row);
+      child.dataset.key = name;
+    }
+    update(child, row);
+    if (parent.children[index] !== child) parent.insertBefore(child, parent.children[index] ?? null);
+  });
+  for (const gone of had.values()) gone.remove();
+}
+
+/** A button that has to be pressed twice, for what is not undone by pressing another. */
+export function twice(button, words, act) {
+  const first = button.textContent;
+  let timer = 0;
+  const calm = () => {
+    clearTimeout(timer);
+    button.classList.remove("sure");
+    button.textContent = first;
+  };
+  button.addEventListener("click", () => {
+    if (button.classList.contains("sure")) {
+      calm();
+      act();
+      return;
+    }
+    button.classList.add("sure");
+    button.textContent = words;
+    timer = setTimeout(calm, 4000);
+  });
+  return button;
+}

@@ -1,0 +1,79 @@
+// Rerun's own viewer beside the controls. It does not find its stream again after viz or the
+// page's server was restarted, so its frame is made anew then.
+
+import { onKey } from "./controls.js";
+import { byId, el, say } from "./dom.js";
+
+const KEPT = "myograft.view";
+const WIDE_PX = 960;
+let viewer = null; // {there, number} as the server tells it
+let wanted = null; // true | false: a person's word
+let shown = ""; // what the frame is showing
+
+export function setUp() {
+  wanted = { show: true, hide: false }[localStorage.getItem(KEPT)] ?? null;
+  byId("view-toggle").addEventListener("click", () => {
+    wanted = !isOpen();
+    localStorage.setItem(KEPT, wanted ? "show" : "hide");
+    draw();
+  });
+  draw();
+}
+
+export function showViewer(now) {
+  viewer = now;
+  draw();
+}
+
+/** The server was away, and with it the viewer's stream. */
+export function again() {
+  shown = "";
+  draw();
+}
+
+const isOpen = () => Boolean(viewer?.there) && (wanted ?? (window.innerWidth >= WIDE_PX && hasGraphics()));
+
+function draw() {
+  const open = isOpen();
+  const button = byId("view-toggle");
+  button.setAttribute("aria-pressed", String(open));
+  say(button, open ? "Hide" : "Show");
+  button.disabled = !viewer?.there;
+  byId("view").classList.toggle("open", open);
+  const what = open ? String(viewer.number) : "";
+  if (what !== shown) {
+    byId("view").querySelector("iframe")?.remove();
+    if (open) byId("view").append(frame());
+    shown = what;
+  }
+  byId("view-note").hidden = open;
+  say(byId("view-note"), note());
+}
+
+function note() {
+  if (!viewer?.there) return "The process viz has not said yet where its picture is.";
+  if (wanted === false) return "Hidden. Plots, lanes and the moving body are one press away.";
+  return hasGraphics()
+    ? "Show plots, lanes and the moving body: the viewer is loaded once, 43 MB."
+    : "This browser draws without a graphics card: the view would lag behind. Better: myograft view";
+}
+
+function frame() {
+  const port = location.port || (location.protocol === "https:" ? "443" : "80");
+  const stream = `rerun+${location.protocol}//${location.hostname}:${port}/proxy`;
+  const theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+  const query = new URLSearchParams({ url: stream, hide_welcome_screen: "", persist: "false", theme });
+  const iframe = el("iframe", { src: `/viewer/?${query}`, title: "Live view by Rerun", allow: "fullscreen" });
+  iframe.addEventListener("load", () => iframe.contentWindow.addEventListener("keydown", onKey, true));
+  return iframe;
+}
+
+let graphics = null;
+function hasGraphics() {
+  if (graphics !== null) return graphics;
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const about = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return (graphics = Boolean(gl) && !/swiftshader|llvmpipe|software/i.test(name));
+}

@@ -1,0 +1,259 @@
+"""The operator's page in a real browser, on a robot that really runs.
+
+Screenshots are kept in the folder `$ARTIFACTS`, or where pytest keeps its temporary files.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from runtime import messages as m
+from runtime.hubs import address_file
+from tests.e2e.conftest import Robot, elbow, running
+
+CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or ""
+
+pytest.importorskip("starlette", reason="needs the extra myograft[web]")
+playwright = pytest.importorskip("playwright.sync_api", reason="needs the extra myograft[dev]")
+from axe_playwright_python.sync_playwright import Axe  # noqa: E402
+from playwright.sync_api import Browser, Page, Request, expect, sync_playwright  # noqa: E402
+
+pytestmark = [
+    pytest.mark.e2e,
+    pytest.mark.skipif(not CHROMIUM, reason="needs a browser: apt-get install chromium"),
+]
+
+FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+SPEED = 2.0
+PATIENCE_MS = 20_000
+WIDE = {"width": 1400, "height": 1000}
+PHONE = {"width": 390, "height": 844}
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    folder = tmp_path_factory.mktemp("seat")
+    with running(elbow(folder, "seat"), folder, speed=SPEED) as robot:
+        yield robot
+
+
+@pytest.fixture(scope="module")
+def address(robot: Robot) -> str:
+    return address_file(robot.group.run_dir, "web").read_text()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    expect.set_options(timeout=PATIENCE_MS)
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def page(browser: Browser, address: str) -> Iterator[Page]:
+    """One page that stays open through all that follows."""
+    page = browser.new_page(viewport=WIDE)  # type: ignore[arg-type]
+    wrong: list[str] = []
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.goto(address)
+    yield page
+    assert wrong == []
+    page.close()
+
+
+@pytest.fixture(scope="module")
+def shots(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    kept = os.environ.get("ARTIFACTS")
+    folder = Path(kept) if kept else tmp_path_factory.mktemp("page")
+    folder.mkdir(parents=True, exist_ok=True)
+    print(f"screenshots in {folder}")
+    return folder
+
+
+def accessible(page: Page) -> None:
+    found = Axe().run(page).response["violations"]
+    serious = [x for x in found if x["impact"] in ("serious", "critical")]
+    told = [f"{x['id']}: {x['help']}: {[n['target'] for n in x['nodes']]}" for x in serious]
+    assert told == []
+
+
+def module_of(page: Page, muscle: str) -> str:
+    return f"#chains li[data-muscle='{muscle}']"
+
+
+def test_the_chain_is_drawn_and_the_controls_are_ready(page: Page, shots: Path) -> None:
+    expect(page.locator("#robot")).to_have_text("seat")
+    expect(page.locator("#stage")).to_have_text("hold")
+    expect(page.get_by_role("button", name="Go there")).to_be_enabled()
+    names = page.locator("#chains li h4")
+    expect(names).to_have_text(["triceps", "biceps_1", "biceps_2", "elbow"])
+    gauge = page.get_by_role("meter", name="tension of triceps")
+    expect(gauge).to_have_attribute("aria-valuemax", "150")
+    expect(gauge).not_to_have_attribute("aria-valuenow", "0")
+    expect(page.locator("#processes tbody tr[data-process='driver-arm']")).to_contain_text("ready")
+    expect(page.locator("#schema tbody tr.active")).to_contain_text("shipped")
+    page.screenshot(path=shots / "light.png", full_page=True)
+
+
+def test_in_the_dark_and_on_a_phone(browser: Browser, address: str, shots: Path) -> None:
+    for name, scheme, size in (("dark", "dark", WIDE), ("phone", "light", PHONE)):
+        context = browser.new_context(viewport=size, color_scheme=scheme)  # type: ignore[arg-type]
+        page = context.new_page()
+        page.goto(address)
+        expect(page.locator("#stage")).to_have_text("hold")
+        expect(page.locator("#chains li h4")).to_have_count(4)
+        gauge = page.get_by_role("meter", name="tension of triceps")
+        expect(gauge).not_to_have_attribute("aria-valuenow", "0")
+        page.screenshot(path=shots / f"{name}.png", full_page=True)
+        if name == "dark":
+            accessible(page)
+        width = page.evaluate("document.documentElement.scrollWidth")
+        assert width <= size["width"], "it has to be scrolled sideways"
+        assert page.locator("#estop").is_visible()
+        context.close()
+
+
+def test_by_keyboard_alone(page: Page, robot: Robot) -> None:
+    since = robot.watch.mark()
+    page.get_by_role("spinbutton", name="elbow, degrees").focus()
+    page.keyboard.press("Control+a")
+    page.keyboard.type("30")
+    page.keyboard.press("Enter")
+    expect(page.locator("#answers .good")).to_contain_text("on the way")
+    robot.watch.wait_for(
+        m.ExecutiveState,
+        lambda x: abs(x.reference_rad[0] - 0.5236) < 1e-3,
+        since=since,
+    )
+
+
+def test_a_muscle_is_plugged_in_and_all_pages_see_it_grow(
+    browser: Browser, page: Page, address: str, shots: Path
+) -> None:
+    other = browser.new_page()
+    other.goto(address)
+    page.get_by_label("Spare").select_option("biceps_3")
+    page.get_by_role("button", name="Plug in").click()
+    expect(page.locator("#answers .good").last).to_contain_text("biceps_3")
+    for each in (page, other):
+        expect(each.locator(module_of(each, "biceps_3"))).to_be_visible()
+        expect(each.locator("#detail")).to_contain_text("taking in biceps_3")
+        expect(each.locator("#events")).to_contain_text("biceps_3")
+    expect(page.get_by_role("button", name="Plug in")).to_be_hidden()
+    expect(page.locator("#plug-note")).to_have_text("Every spare is plugged in.")
+    page.get_by_role("button", name="Identify biceps_1").click()
+    for each in (page, other):
+        expect(each.locator(f"{module_of(each, 'biceps_1')} .led.on")).to_be_visible()
+    expect(page.locator("#stage")).to_have_text("collect")
+    page.screenshot(path=shots / "growing.png", full_page=True)
+    other.close()
+
+
+def test_the_key_stops_the_arm_and_reset_lets_it_hold(
+    page: Page, robot: Robot, shots: Path
+) -> None:
+    since = robot.watch.mark()
+    page.locator("h1").click()
+    page.keyboard.press("Escape")
+    robot.watch.wait_for(m.ChainState, lambda x: x.mode == "stopping", since=since)
+    expect(page.locator("#answers .good").last).to_contain_text("pay out until slack")
+    robot.watch.wait_for(m.ChainState, lambda x: x.mode == "stopped", since=since)
+    expect(page.get_by_role("alert").first).to_contain_text("Stopped and latched")
+    expect(page.locator("#stage")).to_have_text("stopped")
+    page.screenshot(path=shots / "stopped.png", full_page=True)
+    accessible(page)
+    page.get_by_role("button", name="hold", exact=True).click()
+    page.get_by_role("button", name="Reset").click()
+    expect(page.locator("#answers .good").last).to_contain_text("holds where it is")
+    expect(page.locator("#stage")).to_have_text("hold")
+    expect(page.locator("#alarm")).to_be_empty()
+
+
+def test_a_process_is_killed_and_seen_to_return(page: Page, robot: Robot) -> None:
+    row = page.locator("#processes tbody tr[data-process='estimator']")
+    expect(row.locator("[data-name='restarts']")).to_have_text("0")
+    robot.kill("estimator")
+    expect(row.locator("[data-name='restarts']")).to_have_text("1")
+    expect(row.locator("[data-name='state']")).to_have_text("ready")
+    expect(row.locator("[data-name='last_exit']")).to_have_text("killed by SIGKILL")
+    expect(page.locator("#events")).to_contain_text("estimator is back")
+
+
+def test_a_stop_that_does_not_get_through_is_said(page: Page) -> None:
+    page.route("**/api/request/estop", lambda route: route.abort())
+    page.get_by_role("button", name="STOP").click()
+    expect(page.locator("#answers .bad").last).to_contain_text("NOT SENT")
+    expect(page.locator("#answers .bad").last).to_contain_text("myograft estop")
+    page.unroute("**/api/request/estop")
+
+
+def test_a_page_that_nobody_sees_lets_go_of_its_stream(browser: Browser, address: str) -> None:
+    """A browser has six connections to one server: hidden pages must not keep a stop waiting."""
+    page = browser.new_page()
+    page.clock.install()
+    page.goto(address)
+    expect(page.locator("#stage")).to_have_text("hold")
+
+    def show(hidden: str) -> None:
+        page.evaluate(f"""() => {{
+            Object.defineProperty(document, "hidden", {{value: {hidden}, configurable: true}});
+            document.dispatchEvent(new Event("visibilitychange"));
+        }}""")
+
+    def is_stream(request: Request) -> bool:
+        return request.url.endswith("/api/stream")
+
+    show(hidden="true")
+    with page.expect_event("requestfailed", is_stream):
+        page.clock.fast_forward(6000)
+    with page.expect_request(is_stream):
+        show(hidden="false")
+    before = page.locator("#clock").inner_text()
+    expect(page.locator("#clock")).not_to_have_text(before)
+    expect(page.locator("#alarm")).to_be_empty()
+    page.close()
+
+
+def test_the_server_is_restarted_under_an_open_page(page: Page, robot: Robot, shots: Path) -> None:
+    robot.kill("web")
+    expect(page.locator("#alarm")).to_contain_text("The page's server does not answer")
+    expect(page.get_by_role("button", name="Go there")).to_be_disabled()
+    page.screenshot(path=shots / "lost.png")
+    expect(page.locator("#alarm")).to_be_empty()
+    expect(page.get_by_role("button", name="Go there")).to_be_enabled()
+    row = page.locator("#processes tbody tr[data-process='web']")
+    expect(row.locator("[data-name='restarts']")).to_have_text("1")
+    page.get_by_role("button", name="hold", exact=True).click()
+    expect(page.locator("#answers .good").last).to_contain_text("holding")
+
+
+def test_results_are_shown(browser: Browser, address: str, shots: Path) -> None:
+    page = browser.new_page(viewport=WIDE)  # type: ignore[arg-type]
+    page.goto(f"{address}/results#lift")
+    expect(page.locator("#tables table").first).to_contain_text("before")
+    expect(page.locator("#pictures img").first).to_be_visible()
+    page.screenshot(path=shots / "results.png")
+    accessible(page)
+    page.close()
+
+
+def test_the_robot_ends_and_the_page_says_so(page: Page, robot: Robot) -> None:
+    """Last: the group is stopped as Ctrl-C does, and the server goes with it."""
+    robot.group.stop(park=False)
+    expect(page.locator("#alarm")).to_contain_text("The page's server does not answer")
+    expect(page.locator("#stage")).to_have_text("no connection")
