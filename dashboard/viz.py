@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from pathlib import Path
 
 from dashboard.blueprint import layout
 from dashboard.body import Body
@@ -22,31 +23,33 @@ from dashboard.viewer import free_port
 from runtime.bus import Question
 from runtime.messages import Message
 from runtime.process import Launch
+from runtime.settings import RobotSettings
 
-PACE_S = 0.02
+PACE_S = 0.01
 MAX_EARLY = 4096  # arrivals before robot time is known
 
 
 def main(launch: Launch) -> None:
     """Draw until told to stop."""
     settings = launch.settings
-    body = Body(settings)
-    canvas = RerunCanvas(
-        settings.name,
-        launch.run_dir.name,
-        layout(
-            body.ranges_deg(settings.joints),
-            *body.bounds_m(),
-            settings.role if len(settings.muscles) > MANY else "",
-        ),
-        segment_file(launch.run_dir, settings.name),
-        free_port(),
-    )
+    file = segment_file(launch.run_dir, settings.name)
+    body, canvas = canvas_of(settings, launch.run_dir.name, file, free_port())
     (launch.run_dir / f"{settings.name}.viewer").write_text(canvas.url)
     try:
         _loop(launch, Stream(settings, canvas, body, canvas.url))
     finally:
         canvas.close()
+
+
+def canvas_of(
+    settings: RobotSettings, run: str, file: Path, port: int = 0
+) -> tuple[Body, RerunCanvas]:
+    """A robot's body and the canvas that it is drawn on; with a port, also served there."""
+    body = Body(settings)
+    axes = body.axes(settings.joints)
+    role = settings.role if len(settings.muscles) > MANY else ""
+    picture = layout(axes, *body.bounds_m(), role, settings.module.tension_limit_n)
+    return body, RerunCanvas(settings.name, run, axes, picture, file, port)
 
 
 def _loop(launch: Launch, stream: Stream) -> None:

@@ -190,14 +190,16 @@ class Retrainer:
             known = isinstance(error, (TrainingError, SchemaError))
             self._tell(job, "failed", str(error) if known else repr(error))
         else:
-            method = job.method if job.kind == "grow" else job.kind
+            method = _method(job)
             train_s = self._wall_s() - run.started_s
             version = self._versions.add(schema, method, CANDIDATE, job.job, run.parent, train_s)
             self._tell(job, "done")
             self._publish_candidate(version)
 
     def _tell(self, job: TrainingJob, stage: str, text: str = "") -> None:
-        self._out.append(TrainingProgress(job=job.job, stage=stage, text=text))
+        self._out.append(
+            TrainingProgress(job=job.job, stage=stage, method=_method(job), text=text)
+        )
 
     # ── versions ──────────────────────────────────────────────────────────────────────────────
 
@@ -294,6 +296,7 @@ class _Run:
                 TrainingProgress(
                     job=self.job.job,
                     stage="training",
+                    method=_method(self.job),
                     epoch=epoch,
                     epochs=epochs,
                     loss=loss,
@@ -301,6 +304,10 @@ class _Run:
                     loss_old=loss_old,
                 )
             )
+
+
+def _method(job: TrainingJob) -> str:
+    return job.method if job.kind == "grow" else job.kind
 
 
 def _event(level: str, kind: str, text: str, **data: str) -> Event:
