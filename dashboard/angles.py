@@ -31,20 +31,18 @@ class JointAngles:
         match message:
             case m.JointState():
                 self._measured[message.source] = message
+                if self._rows.due(message.stamp_ns):
+                    self._sample(message.stamp_ns)
             case m.ExecutiveState():
                 self._wanted = message
             case m.JointEstimate():
                 self._estimate = message
 
-    def sample(self, now_ns: int) -> None:
-        """Keep one row when one is due."""
-        fresh = [s for s in self._measured.values() if now_ns - s.stamp_ns < STALE_NS]
-        stamp_ns = max((state.stamp_ns for state in fresh), default=0)
-        if not fresh or not self._rows.due(stamp_ns):
-            return
+    def _sample(self, stamp_ns: int) -> None:
         self._rows.begin(stamp_ns)
-        for state in fresh:
-            self._rows.put(state.joints, state.angle_rad, _MEASURED)
+        for state in self._measured.values():
+            if stamp_ns - state.stamp_ns < STALE_NS:
+                self._rows.put(state.joints, state.angle_rad, _MEASURED)
         if self._wanted:
             self._rows.put(self._wanted.joints, self._wanted.reference_rad, _REFERENCE)
         estimate = self._estimate
@@ -52,8 +50,9 @@ class JointAngles:
             self._rows.put(estimate.joints, estimate.angle_rad, _ESTIMATED)
             self._rows.put(estimate.joints, estimate.confidence_rad, _SIGMA)
 
-    def draw(self) -> None:
+    def draw(self, now_ns: int) -> None:
         """Draw the rows that wait."""
+        self._rows.gap(now_ns, STALE_NS)
         if len(self._rows):
             times_s, rad = self._rows.take()
             self._canvas.angles(times_s, Angles(*rad))

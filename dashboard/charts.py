@@ -15,7 +15,7 @@ from runtime import messages as m
 
 WIDE = 3.0  # a chart's width, in heights
 STALE_NS = 500_000_000
-EVERY_NS = 200_000_000
+EVERY_NS = 400_000_000
 ROWS = 8  # muscles below each other, before a second column begins
 COLUMNS = 6  # and no more columns than this: then rows get thinner
 NAMED = 48  # more names than this cannot be read; the pointer tells them

@@ -94,6 +94,8 @@ class Plots:
             case m.ChainState():
                 self._meet(message.muscles)
                 self._chains[message.chain] = message
+                if self._rows.due(message.stamp_ns):
+                    self._sample_muscles(message.stamp_ns)
             case m.JointEstimate():
                 self._meet(message.muscles)
                 self._estimate = message
@@ -110,24 +112,20 @@ class Plots:
             case m.Clock():
                 self._factor = message.real_time_factor
 
-    def sample(self, now_ns: int) -> None:
-        """Keep one row of the muscles when one is due: all chains together in one row."""
-        fresh = [c for c in self._chains.values() if now_ns - c.stamp_ns < STALE_NS]
-        stamp_ns = max((c.stamp_ns for c in fresh), default=now_ns)
-        if self._chains and self._rows.due(stamp_ns):
-            self._sample_muscles(fresh, stamp_ns)
+    def draw(self, now_ns: int) -> None:
+        """Draw all rows that wait."""
+        self._rows.gap(now_ns, STALE_NS)
         if self._tracks["/factor"].due(now_ns):
             self._sample_load(now_ns)
-
-    def draw(self) -> None:
-        """Draw all rows that wait."""
         if len(self._rows):
             times_s, rows = self._rows.take()
             self._canvas.muscles(times_s, Muscles(*rows))
         for track in self._tracks.values():
             track.draw(self._canvas)
 
-    def _sample_muscles(self, chains: Sequence[m.ChainState], stamp_ns: int) -> None:
+    def _sample_muscles(self, stamp_ns: int) -> None:
+        """All chains together in one row."""
+        chains = [c for c in self._chains.values() if stamp_ns - c.stamp_ns < STALE_NS]
         rows, estimate, executive = self._rows, self._estimate, self._executive
         rows.begin(stamp_ns)
         for chain in chains:

@@ -59,6 +59,9 @@ class Scene:
         self._states: dict[str, m.JointState] = {}
         self._chains: dict[str, m.ChainState] = {}
         self._pathless: set[str] = set()  # plugged, and nobody knows where
+        self._shown: tuple[str, ...] = ()  # what the next two are of
+        self._own_colors = np.empty((0, 3), dtype=np.uint8)
+        self._labels: tuple[str, ...] = ()
         for link in ("world", *body.links):
             canvas.shapes(link, body.shapes(link))
 
@@ -101,12 +104,19 @@ class Scene:
         muscles = tuple(tension_n)
         points_m, counts = self._body.wires(muscles)
         fraction = np.clip(np.fromiter(tension_n.values(), float) / self._scale_n, 0.0, 1.0)
-        own = [slot_color(self._slots.index.get(name, self._slots.size)) for name in muscles]
+        if muscles != self._shown:
+            self._shown = muscles
+            slots = [self._slots.index.get(name, self._slots.size) for name in muscles]
+            own = np.array([slot_color(slot) for slot in slots], dtype=np.uint8)
+            self._own_colors = own.reshape(-1, 3)
+            added = (name not in self._first_muscles for name in muscles)
+            pairs = zip(muscles, added, strict=True)
+            self._labels = tuple(f"added: {name}" if new else "" for name, new in pairs)
         return Wires(
             points_m=points_m,
             counts=counts,
             radius_m=THIN_M + (THICK_M - THIN_M) * fraction,
             colors=tension_colors(np.sqrt(fraction)),  # most of a day is spent below a third
-            module_colors=np.array(own, dtype=np.uint8).reshape(-1, 3),
-            labels=tuple("" if n in self._first_muscles else f"added: {n}" for n in muscles),
+            module_colors=self._own_colors,
+            labels=self._labels,
         )

@@ -63,13 +63,11 @@ class Stream:
         return m.Reply(ok=False, text="viz answers no requests")
 
     def tick(self, now_ns: int) -> Iterable[m.Message]:
-        """Keep a row of what is newest, and draw when it is time."""
-        self._plots.sample(now_ns)
-        self._angles.sample(now_ns)
+        """Draw when it is time."""
         if _due(now_ns, self._drawn_ns, DRAW_NS):
             self._drawn_ns = now_ns
-            self._plots.draw()
-            self._angles.draw()
+            self._plots.draw(now_ns)
+            self._angles.draw(now_ns)
             self._sharing.draw(self._canvas, now_ns)
             self._learning.draw(self._canvas, now_ns)
             self._story.draw(now_ns)

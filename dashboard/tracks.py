@@ -95,6 +95,12 @@ class Rows:
         self._last_ns = stamp_ns
         self._rows.append((stamp_ns, []))
 
+    def gap(self, now_ns: int, silent_ns: int) -> None:
+        """Once nobody has said anything for so long: a row of NaN, so that lines end there."""
+        if self._last_ns is not None and now_ns - self._last_ns > silent_ns:
+            self._last_ns = None
+            self._rows.append((now_ns, []))
+
     def put(self, names: tuple[str, ...], values: Sequence[float], layer: int = 0) -> None:
         """Put values into the newest row; names without a slot are left out."""
         if len(names) == len(values):  # else nobody knows which is whose

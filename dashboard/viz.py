@@ -4,12 +4,14 @@ It writes `<robot>.rrd` into the run's folder and serves the same live on loopba
 told by an event of kind `viewer` and stands in `<robot>.viewer` beside the file. A restarted one
 goes on in `<robot>-2.rrd` under the same recording id, so both files open as one run.
 
-It looks at the bus at a steady pace instead of at every arrival: three hundred wake-ups a second
-would cost more than all the drawing, and no eye sees more than fifty points a second.
+It looks at the bus at a steady pace instead of at every arrival: a thousand wake-ups a second
+would cost more than all the drawing. What came in between waits in order, in queues that are
+bounded, so the robot never waits for the picture.
 """
 
 from __future__ import annotations
 
+import gc
 import time
 from collections import deque
 from pathlib import Path
@@ -21,11 +23,12 @@ from dashboard.sinks import RerunCanvas, segment_file
 from dashboard.stream import Stream
 from dashboard.viewer import free_port
 from runtime.bus import Question
-from runtime.messages import Message
+from runtime.messages import ChainState, JointEstimate, Message
 from runtime.process import Launch
 from runtime.settings import RobotSettings
 
-PACE_S = 0.01
+PACE_S = 0.033
+CURVES = (ChainState, JointEstimate)  # every sample of them is drawn, of other states the newest
 MAX_EARLY = 4096  # arrivals before robot time is known
 
 
@@ -53,12 +56,17 @@ def canvas_of(
 
 
 def _loop(launch: Launch, stream: Stream) -> None:
+    gc.collect()
+    gc.freeze()  # what was imported stays: no need to look through it again
     with launch.open_bus() as member:
-        member.subscribe(*stream.inputs)
+        member.subscribe(*(kind for kind in stream.inputs if kind not in CURVES), wake=False)
+        member.subscribe(*CURVES, every=True, wake=False)
         member.ready()
         arrived: deque[Message | Question] = deque(maxlen=MAX_EARLY)
+        due_s = time.monotonic()
         while not member.stopping:
-            time.sleep(PACE_S)
+            due_s = max(due_s + PACE_S, time.monotonic())
+            time.sleep(due_s - time.monotonic())
             arrived.extend(member.wait(0.0))
             now_ns = member.now_ns()
             if now_ns is None:
