@@ -65,8 +65,9 @@ def _loop(launch: Launch, stream: Stream) -> None:
         arrived: deque[Message | Question] = deque(maxlen=MAX_EARLY)
         due_s = time.monotonic()
         while not member.stopping:
-            due_s = max(due_s + PACE_S, time.monotonic())
-            time.sleep(due_s - time.monotonic())
+            wall_s = time.monotonic()
+            due_s = max(due_s + PACE_S, wall_s)
+            time.sleep(due_s - wall_s)
             arrived.extend(member.wait(0.0))
             now_ns = member.now_ns()
             if now_ns is None:
