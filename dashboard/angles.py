@@ -53,6 +53,6 @@ class JointAngles:
     def draw(self, now_ns: int) -> None:
         """Draw the rows that wait."""
         self._rows.gap(now_ns, STALE_NS)
-        if len(self._rows):
+        if self._rows.waiting:
             times_s, rad = self._rows.take()
             self._canvas.angles(times_s, Angles(*rad))

@@ -33,12 +33,19 @@ def layout(
     axes: Sequence[Axis],
     low_m: Floats,
     high_m: Floats,
+    limit_n: float,
     role: str = "",
-    limit_n: float = 0.0,
+    many: bool = False,
 ) -> rrb.Blueprint:
-    """The whole screen for a robot with these joints whose body fills this box (m).
+    """The whole screen for a robot.
 
-    With `role`, the tensions of that role's muscles come first.
+    Args:
+        axes: its joints.
+        low_m: lowest corner of the box that the body fills.
+        high_m: highest corner.
+        limit_n: of tension.
+        role: the tensions of this role's muscles come first.
+        many: there are so many muscles that they need room.
     """
     roles = [_plot(f"Tension, {role} (N)", "/role", "/limit/zero")] if role else []
     return rrb.Blueprint(
@@ -48,7 +55,7 @@ def layout(
                     _named("body", _body(low_m, high_m)),
                     _chart("Load now: felt (bar), planned (tick)", "/sharing"),
                     _named("now", rrb.TextDocumentView(origin="/status", name="Now")),
-                    row_shares=[3.2, 1.6, 0.8],
+                    row_shares=[2.6, 2.0, 1.0] if many else [3.0, 1.5, 1.0],
                 ),
                 rrb.Vertical(
                     _angles(axes),
@@ -178,8 +185,10 @@ def _angles(axes: Sequence[Axis]) -> rrb.View | rrb.Container:
         _angle(axis, fields[axis.joint], "{joint} ({unit})") for axis in axes
     ]
     if len(axes) <= SMALL:
+        same = len({axis.unit for axis in axes}) == 1
+        units = f" ({axes[0].unit})" if same else ""
         small = [_angle(axis, fields[axis.joint], "{joint}", legend=False) for axis in axes]
-        plots.insert(0, rrb.Grid(*small, grid_columns=min(len(axes), 5), name="All joints"))
+        plots.insert(0, rrb.Grid(*small, grid_columns=min(len(axes), 5), name=f"All joints{units}"))
     return rrb.Tabs(*plots, name="joints")
 
 
@@ -191,7 +200,7 @@ def _angle(axis: Axis, field: str, name: str, legend: bool = True) -> rrb.View:
         return style.visualizer(mappings=[_of("Scalars:scalars", f"shown:{value}", field)])
 
     estimated = rr.Measurements(
-        [], names=["estimated from the wires ± 1 σ"], colors=[ESTIMATED], widths=[1.5]
+        [], names=["estimated from the wires ± 1 σ"], colors=[ESTIMATED], widths=[1.2]
     ).visualizer(
         mappings=[
             _of("Measurements:values", "shown:estimated", field),
@@ -200,9 +209,9 @@ def _angle(axis: Axis, field: str, name: str, legend: bool = True) -> rrb.View:
     )
     words = name.format(joint=axis.joint, unit=axis.unit)
     lines = (
-        line("measured", "measured", MEASURED, 2.5),
-        line("reference", "reference", REFERENCE, 1.5),
         estimated,
+        line("reference", "reference", REFERENCE, 1.2),
+        line("measured", "measured", MEASURED, 4.0),
     )
     return _plot(words, "/joint", shown=axis.shown, lines=lines, legend=legend)
 

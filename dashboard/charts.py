@@ -16,10 +16,11 @@ from runtime import messages as m
 WIDE = 3.0  # a chart's width, in heights
 STALE_NS = 500_000_000
 EVERY_NS = 400_000_000
-ROWS = 8  # muscles below each other, before a second column begins
+ROWS = 12  # muscles below each other, before a second column begins
 COLUMNS = 6  # and no more columns than this: then rows get thinner
-NAMED = 48  # more names than this cannot be read; the pointer tells them
+NAMED = 24  # more names than this cannot be read; the pointer tells them
 JOBS = 3  # relearnings whose curves are shown
+LIFT = 0.05  # words are drawn below their points
 POINTS = 512  # of one curve
 _GRID: Rgb = (70, 74, 80)
 _FAINT = 0.45  # brightness of the curves of jobs that are over
@@ -83,10 +84,11 @@ class Sharing:
                 tick = (x, y - 0.42 * high), (x, y + 0.42 * high)
                 strips.append(Strip(tick, (235, 235, 235), 0.012))
             if len(names) <= NAMED:
-                middle = (column + 0.23) * wide, y
+                middle = (column + 0.23) * wide, y - LIFT
                 labels.append(Label(f"{name}  {felt_n[name]:.0f} N", middle, color))
         strips += self._limit(columns, rows, scale_n, len(names) <= NAMED)
-        labels.append(Label(f"full width {scale_n:g} N", (WIDE - 0.3, 0.96), REFERENCE))
+        if len(names) > NAMED:
+            labels.append(Label(f"full width {scale_n:g} N", (WIDE / 2, 0.9), REFERENCE))
         return Chart(strips, labels)
 
     def _limit(self, columns: int, rows: int, scale_n: float, named: bool) -> Iterator[Strip]:
@@ -142,15 +144,15 @@ class Learning:
 
         def place(epoch: float, loss: float) -> Point:
             y = (high - math.log10(loss)) / (high - low)
-            return 0.25 + 2.0 * epoch / max(epochs, 1), 0.06 + 0.8 * y
+            return 0.3 + 1.9 * epoch / max(epochs, 1), 0.06 + 0.76 * y
 
         strips: list[Strip] = []
         labels: list[Label] = []
         for decade in range(low, high + 1):
             left, right = place(0, 10.0**decade), place(epochs, 10.0**decade)
             strips.append(Strip((left, right), _GRID, 0.004))
-            labels.append(Label(f"{10.0**decade:g}", (0.11, left[1]), REFERENCE))
-        labels += [Label(f"epoch {n}", (place(n, 1.0)[0], 0.95), REFERENCE) for n in (0, epochs)]
+            labels.append(Label(f"{10.0**decade:g}", (0.14, left[1] - LIFT), REFERENCE))
+        labels += [Label(f"epoch {n}", (place(n, 1.0)[0], 0.88), REFERENCE) for n in (0, epochs)]
         for age, curve in enumerate(reversed(self._jobs.values())):
             strips += _curves(curve, place, 1.0 if age == 0 else _FAINT)
         labels += _legend(list(self._jobs.values())[-1])
@@ -186,8 +188,8 @@ def _curves(
 def _legend(curve: Sequence[m.TrainingProgress]) -> Iterator[Label]:
     """What the newest job's curves are and where they are now."""
     newest = curve[-1]
-    yield Label(f"method {newest.method or '?'}", (2.62, 0.1), (235, 235, 235))
+    yield Label(f"method {newest.method or '?'}", (2.62, 0.06), (235, 235, 235))
     for row, (field, (words, color)) in enumerate(_LOSSES.items()):
         loss: float = getattr(newest, field)
         if loss > 0.0:
-            yield Label(f"{words}  {loss:.2g}", (2.62, 0.28 + 0.16 * row), color)
+            yield Label(f"{words}  {loss:.2g}", (2.62, 0.24 + 0.16 * row), color)

@@ -91,7 +91,7 @@ def slot_color(slot: int) -> Rgb:
 
 
 def tension_colors(fraction: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """From a slack wire's cool grey over amber to red at `fraction` 1 of the scale: (W,) to (W, 3)."""
+    """From a slack wire's cool grey over amber to red at `fraction` 1: (W,) to (W, 3)."""
     steps = np.array([0.0, 0.5, 1.0])
     colors = np.array([(125, 150, 175), (240, 190, 60), (225, 45, 35)])
     parts = [np.interp(fraction, steps, part) for part in colors.T]

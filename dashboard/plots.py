@@ -43,7 +43,8 @@ class Plots:
         alike = settings.alike if settings.role and len(settings.muscles) > MANY else ()
         if alike:
             widths = [1.5] * (len(alike) - 1) + [3.0]
-            colors = [slot_color(slot) for slot in range(len(alike))]
+            slots = [*settings.muscles, *(spare.name for spare in settings.spare)]
+            colors = [slot_color(slots.index(name)) for name in alike]
             self._track("/role", FAST_NS, alike, colors, widths)
         for path in ("/load/cpu", "/load/memory"):
             self._tracks[path] = Track(path, self._processes, SLOW_NS)
@@ -117,7 +118,7 @@ class Plots:
         self._rows.gap(now_ns, STALE_NS)
         if self._tracks["/factor"].due(now_ns):
             self._sample_load(now_ns)
-        if len(self._rows):
+        if self._rows.waiting:
             times_s, rows = self._rows.take()
             self._canvas.muscles(times_s, Muscles(*rows))
         for track in self._tracks.values():

@@ -92,9 +92,9 @@ class Story:
     def _words(self) -> str:
         executive = self._executive
         if executive is None:
-            return "# waiting for the executive"
+            return "## waiting for the executive"
         step = f" {executive.step}/{executive.steps}" if executive.steps else ""
-        title = f"# {executive.stage}{step}"
+        title = f"## {executive.stage}{step}"
         lines = []
         if executive.growing:
             lines.append(f"taking in **{executive.growing}**")

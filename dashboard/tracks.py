@@ -18,6 +18,7 @@ from dashboard.canvas import Canvas, Floats
 from dashboard.palette import Rgb, slot_color
 
 MAX_ROWS = 256  # when the canvas is not drawn on, the oldest rows go
+SET_BACK_NS = 1_000_000_000  # chains are this much apart at most: more, and it is the clock
 _MAX_GROUPS = 64  # sets of names whose slots are kept in mind
 
 Columns = tuple[NDArray[np.intp], NDArray[np.intp]]  # of the values, and the slots they go to
@@ -88,7 +89,7 @@ class Rows:
     def due(self, stamp_ns: int) -> bool:
         """Whether a row of this time is wanted. A clock that was set back starts anew."""
         last = self._last_ns
-        return last is None or not last <= stamp_ns < last + self._every_ns
+        return last is None or not last - SET_BACK_NS < stamp_ns < last + self._every_ns
 
     def begin(self, stamp_ns: int) -> None:
         """Begin a row: NaN until something is put into it."""
@@ -122,7 +123,9 @@ class Rows:
         self._rows.clear()
         return times_s, values
 
-    def __len__(self) -> int:
+    @property
+    def waiting(self) -> int:
+        """How many rows have not been drawn."""
         return len(self._rows)
 
 
@@ -142,6 +145,6 @@ class Track(Rows):
 
     def draw(self, canvas: Canvas) -> None:
         """Draw the rows and forget them."""
-        if len(self):
+        if self.waiting:
             times_s, values = self.take()
             canvas.columns(self.path, times_s, values[0] * self._scale)

@@ -50,8 +50,9 @@ def canvas_of(
     """A robot's body and the canvas that it is drawn on; with a port, also served there."""
     body = Body(settings)
     axes = body.axes(settings.joints)
-    role = settings.role if len(settings.muscles) > MANY else ""
-    picture = layout(axes, *body.bounds_m(), role, settings.module.tension_limit_n)
+    many = len(settings.muscles) > MANY
+    role = settings.role if many else ""
+    picture = layout(axes, *body.bounds_m(), settings.module.tension_limit_n, role, many)
     return body, RerunCanvas(settings.name, run, axes, picture, file, port)
 
 
