@@ -130,7 +130,7 @@ def _muscles() -> list[tuple[str, str]]:
     """Muscle and the joint that it spans: two or three to a joint."""
     joints = [joint for _, joint, _ in _joints()]
     return sorted(
-        ((f"{joints[i % JOINTS]}_{'abc'[i // JOINTS]}", joints[i % JOINTS]) for i in range(MUSCLES))
+        (f"{joints[i % JOINTS]}_{'abc'[i // JOINTS]}", joints[i % JOINTS]) for i in range(MUSCLES)
     )
 
 
@@ -155,7 +155,8 @@ def _body() -> str:
         rod = " ".join(str(0.9 * x) for x in _STEPS[k])
         children = "".join(link(child) for child, above in parent.items() if above == joint)
         return (
-            f'<body name="{joint}" pos="{place}"><joint name="{joint}" axis="{axis}" range="-60 60"/>'
+            f'<body name="{joint}" pos="{place}">'
+            f'<joint name="{joint}" axis="{axis}" range="-60 60"/>'
             f'<geom type="capsule" size="0.02" fromto="0 0 0 {rod}" mass="0.5"/>'
             f"{''.join(sites.get(joint, ()))}{children}</body>"
         )
