@@ -60,8 +60,8 @@ def _loop(launch: Launch, stream: Stream) -> None:
     gc.collect()
     gc.freeze()  # what was imported stays: no need to look through it again
     with launch.open_bus() as member:
-        member.subscribe(*(kind for kind in stream.inputs if kind not in CURVES), wake=False)
-        member.subscribe(*CURVES, every=True, wake=False)
+        member.subscribe(*(kind for kind in stream.inputs if kind not in CURVES), poll=True)
+        member.subscribe(*CURVES, every=True, poll=True)
         member.ready()
         arrived: deque[Message | Question] = deque(maxlen=MAX_EARLY)
         due_s = time.monotonic()

@@ -19,6 +19,7 @@ from runtime.settings import RobotSettings
 from tests.many_muscles import STEP_NS, say
 
 START_NS = 1_000_000_000
+KEPT = 30_000  # five minutes
 
 
 class Viz:
@@ -66,11 +67,13 @@ class Robot:
     """Says what 74 muscles would say, a hundred times a second, from a thread of its own.
 
     Attributes:
-        said_ns: stamp -> wall time (UTC) at which it was said.
+        said_ns: stamp -> wall time (UTC) at which it was said, of the last minutes.
+        longest_s: how long the longest publication took.
     """
 
     def __init__(self, settings: RobotSettings, bus: Bus) -> None:
         self.said_ns: dict[int, int] = {}
+        self.longest_s = 0.0
         self._settings = settings
         self._bus = bus
         self._over = threading.Event()
@@ -82,7 +85,11 @@ class Robot:
             messages: list[Message] = list(say(self._settings, now_ns))
             self.said_ns[now_ns] = time.time_ns()
             for message in messages:
+                begin_s = time.perf_counter()
                 self._bus.publish(message)
+                self.longest_s = max(self.longest_s, time.perf_counter() - begin_s)
+            if len(self.said_ns) > KEPT:
+                del self.said_ns[next(iter(self.said_ns))]
             now_ns += STEP_NS
             due = max(due + STEP_NS * 1e-9, time.monotonic() - 0.1)
             time.sleep(max(0.0, due - time.monotonic()))
