@@ -75,6 +75,7 @@ def say(settings: RobotSettings, now_ns: int) -> Iterator[m.Message]:
         predicted_length_m=tuple((length - error).tolist()),
         predicted_tension_n=tuple(tension.tolist()),
         anomaly=tuple(np.abs(2000.0 * error).tolist()),
+        length_error_m=tuple(error.tolist()),
     )
     if step % 2 == 0:
         yield m.ExecutiveState(
