@@ -197,9 +197,7 @@ class Retrainer:
             self._publish_candidate(version)
 
     def _tell(self, job: TrainingJob, stage: str, text: str = "") -> None:
-        self._out.append(
-            TrainingProgress(job=job.job, stage=stage, method=_method(job), text=text)
-        )
+        self._out.append(TrainingProgress(job=job.job, stage=stage, method=_method(job), text=text))
 
     # ── versions ──────────────────────────────────────────────────────────────────────────────
 

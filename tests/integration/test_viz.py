@@ -245,7 +245,10 @@ def test_process_draws_dies_and_goes_on_in_a_new_file(hub: tuple[Bus, str], tmp_
         end(process, signal.SIGKILL)
         process = start_viz(endpoint, tmp_path)
         await_ready(bus, process)
-        play(bus, 10.0, 20.0)
+        heard = play(bus, 10.0, 20.0)
+        (again,) = [e for e in heard if isinstance(e, m.Event) and e.kind == "viewer"]
+        assert (tmp_path / "run-1" / "elbow.viewer").read_text() == again.data["url"]
+        assert again.data["url"] != viewer.data["url"], "a page has to open it anew"
         assert end(process, signal.SIGTERM) == 0
     finally:
         if process.poll() is None:
@@ -275,3 +278,30 @@ def test_a_viewer_that_joins_late_sees_the_live_run(hub: tuple[Bus, str], tmp_pa
     finally:
         end(process, signal.SIGTERM)
     assert os.path.exists(tmp_path / "run-1" / "elbow.rrd")
+
+
+def test_who_polls_the_bus_gets_every_sample_or_the_newest(hub: tuple[Bus, str]) -> None:
+    bus, endpoint = hub
+    with Bus("elbow", "poller", endpoint=endpoint) as poller:
+        poller.subscribe(m.JointState, every=True, poll=True)
+        poller.subscribe(m.ExecutiveState, poll=True)
+        heard: list[m.Message] = []
+        deadline = time.monotonic() + 10.0
+        number = 0
+        while not heard and time.monotonic() < deadline:  # until the two have met
+            number += 1
+            bus.publish(m.JointState(stamp_ns=number, source="x", joints=(), angle_rad=()))
+            time.sleep(0.02)
+            heard = [x for x in poller.wait(0.0) if isinstance(x, m.Message)]
+        for stamp_ns in range(1000, 1100):
+            bus.publish(m.JointState(stamp_ns=stamp_ns, source="x", joints=(), angle_rad=()))
+            bus.publish(m.ExecutiveState(stamp_ns=stamp_ns, stage="hold"))
+        heard = []
+        while time.monotonic() < deadline and not any(
+            isinstance(x, m.ExecutiveState) and x.stamp_ns == 1099 for x in heard
+        ):
+            time.sleep(0.05)
+            heard += [x for x in poller.wait(0.0) if isinstance(x, m.Message)]
+    states = [x.stamp_ns for x in heard if isinstance(x, m.JointState) and x.stamp_ns >= 1000]
+    assert states == list(range(1000, 1100))
+    assert len([x for x in heard if isinstance(x, m.ExecutiveState)]) < 100
