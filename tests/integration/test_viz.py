@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import ctypes.util
-import os
-import signal
-import subprocess
-import sys
 import time
 import urllib.request
 import warnings
@@ -21,7 +17,9 @@ from dashboard.photo import photograph
 from dashboard.viewer import free_port, open_view, viewer_binary
 from runtime import messages as m
 from runtime.bus import Bus
+from runtime.settings import load_robot
 from tests.made_up_run import ADDED, PLUG_S, run
+from tests.viz_process import Viz
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient, ViewerState
@@ -100,7 +98,6 @@ def draw(file: Path, seconds: float) -> None:
     """A made-up run, drawn into a file at once."""
     from dashboard.stream import Stream
     from dashboard.viz import canvas_of
-    from runtime.settings import load_robot
 
     settings = load_robot("elbow")
     body, canvas = canvas_of(settings, "made-up", file)
@@ -189,15 +186,6 @@ def hub() -> Iterator[tuple[Bus, str]]:
         yield bus, endpoint
 
 
-def start_viz(endpoint: str, folder: Path) -> subprocess.Popen[bytes]:
-    run_dir = folder / "run-1"
-    run_dir.mkdir(exist_ok=True)
-    command = [sys.executable, "-m", "runtime.process", "viz", "--robot", "elbow"]
-    where = ["--run-dir", str(run_dir), "--state-dir", str(folder), "--endpoint", endpoint]
-    with (folder / "viz.log").open("ab") as log:
-        return subprocess.Popen([*command, *where], stdout=log, stderr=log)
-
-
 def play(bus: Bus, begin_s: float, end_s: float) -> list[m.Message]:
     """Say a piece of the made-up run on the bus, faster than life. Gives what was heard."""
     heard: list[m.Message] = []
@@ -216,45 +204,30 @@ def play(bus: Bus, begin_s: float, end_s: float) -> list[m.Message]:
     return heard
 
 
-def await_ready(bus: Bus, process: subprocess.Popen[bytes]) -> None:
-    deadline = time.monotonic() + 30.0
-    while "viz" not in bus.alive(0.2):
-        assert process.poll() is None, "viz ended at once: see its log"
-        assert time.monotonic() < deadline, "viz does not become ready"
-        bus.wait(0.1)
-
-
-def end(process: subprocess.Popen[bytes], how: signal.Signals) -> int:
-    process.send_signal(how)
-    return process.wait(15.0)
+def told_address(bus: Bus, heard: list[m.Message]) -> str:
+    """The address that viz told, in what was heard or soon after."""
+    deadline = time.monotonic() + 10.0
+    while not (told := [e for e in heard if isinstance(e, m.Event) and e.kind == "viewer"]):
+        assert time.monotonic() < deadline, "viz does not tell its address"
+        heard += [x for x in bus.wait(0.5) if isinstance(x, m.Message)]
+    (event,) = told
+    return event.data["url"]
 
 
 def test_process_draws_dies_and_goes_on_in_a_new_file(hub: tuple[Bus, str], tmp_path: Path) -> None:
     bus, endpoint = hub
-    process = start_viz(endpoint, tmp_path)
-    try:
-        await_ready(bus, process)
-        heard = play(bus, 0.0, 10.0)
-        deadline = time.monotonic() + 10.0
-        while not (told := [e for e in heard if isinstance(e, m.Event) and e.kind == "viewer"]):
-            assert time.monotonic() < deadline, "viz does not tell its address"
-            heard += [x for x in bus.wait(0.5) if isinstance(x, m.Message)]
-        (viewer,) = told
-        assert (tmp_path / "run-1" / "elbow.viewer").read_text() == viewer.data["url"]
+    with Viz(load_robot("elbow"), bus, endpoint, tmp_path) as viz:
+        address = told_address(bus, play(bus, 0.0, 10.0))
+        assert viz.url == address
         bus.wait(0.5)
-        end(process, signal.SIGKILL)
-        process = start_viz(endpoint, tmp_path)
-        await_ready(bus, process)
-        heard = play(bus, 10.0, 20.0)
-        (again,) = [e for e in heard if isinstance(e, m.Event) and e.kind == "viewer"]
-        assert (tmp_path / "run-1" / "elbow.viewer").read_text() == again.data["url"]
-        assert again.data["url"] != viewer.data["url"], "a page has to open it anew"
-        assert end(process, signal.SIGTERM) == 0
-    finally:
-        if process.poll() is None:
-            end(process, signal.SIGKILL)
-    first, rows, _ = contents(tmp_path / "run-1" / "elbow.rrd")
-    second, more_rows, said = contents(tmp_path / "run-1" / "elbow-2.rrd")
+        viz.process.kill()
+        viz.process.wait()
+    with Viz(load_robot("elbow"), bus, endpoint, tmp_path) as viz:
+        assert viz.url == told_address(bus, play(bus, 10.0, 20.0))
+        assert viz.url != address, "a page has to open it anew"
+        assert viz.end() == 0
+    first, rows, _ = contents(viz.run_dir / "elbow.rrd")
+    second, more_rows, said = contents(viz.run_dir / "elbow-2.rrd")
     assert first == second == "elbow-run-1", "both open as one run"
     assert rows["/muscle"] > 10
     assert more_rows["/muscle"] > 10
@@ -264,20 +237,15 @@ def test_process_draws_dies_and_goes_on_in_a_new_file(hub: tuple[Bus, str], tmp_
 @NEEDS_VULKAN
 def test_a_viewer_that_joins_late_sees_the_live_run(hub: tuple[Bus, str], tmp_path: Path) -> None:
     bus, endpoint = hub
-    process = start_viz(endpoint, tmp_path)
-    try:
-        await_ready(bus, process)
+    with Viz(load_robot("elbow"), bus, endpoint, tmp_path) as viz:
         play(bus, 0.0, 14.0)
-        url = (tmp_path / "run-1" / "elbow.viewer").read_text()
         with headless() as viewer:
-            viewer.open(url)
+            viewer.open(viz.url)
             play(bus, 14.0, 18.0)
             state = without_reports(viewer)
         (shown,) = state.recordings
         assert shown.store_id.endswith("elbow-run-1")
-    finally:
-        end(process, signal.SIGTERM)
-    assert os.path.exists(tmp_path / "run-1" / "elbow.rrd")
+        assert viz.end() == 0
 
 
 def test_who_polls_the_bus_gets_every_sample_or_the_newest(hub: tuple[Bus, str]) -> None:
