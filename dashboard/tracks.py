@@ -132,10 +132,9 @@ class Rows:
 class Track(Rows):
     """One plotted vector."""
 
-    def __init__(self, path: str, slots: Slots, every_ns: int, scale: float = 1.0) -> None:
+    def __init__(self, path: str, slots: Slots, every_ns: int) -> None:
         super().__init__(slots, every_ns)
         self.path = path
-        self._scale = scale
 
     def add(self, stamp_ns: int, names: tuple[str, ...], values: Sequence[float]) -> None:
         """A row of one group of names, when one is due."""
@@ -147,4 +146,4 @@ class Track(Rows):
         """Draw the rows and forget them."""
         if self.waiting:
             times_s, values = self.take()
-            canvas.columns(self.path, times_s, values[0] * self._scale)
+            canvas.columns(self.path, times_s, values[0])

@@ -22,7 +22,6 @@ from dashboard.plots import MANY
 from dashboard.sinks import RerunCanvas, segment_file
 from dashboard.stream import Stream
 from dashboard.viewer import free_port
-from runtime.bus import Question
 from runtime.messages import ChainState, JointEstimate, Message
 from runtime.process import Launch
 from runtime.settings import RobotSettings
@@ -63,20 +62,19 @@ def _loop(launch: Launch, stream: Stream) -> None:
         member.subscribe(*(kind for kind in stream.inputs if kind not in CURVES), poll=True)
         member.subscribe(*CURVES, every=True, poll=True)
         member.ready()
-        arrived: deque[Message | Question] = deque(maxlen=MAX_EARLY)
+        arrived: deque[Message] = deque(maxlen=MAX_EARLY)
         due_s = time.monotonic()
         while not member.stopping:
             wall_s = time.monotonic()
             due_s = max(due_s + PACE_S, wall_s)
             time.sleep(due_s - wall_s)
-            arrived.extend(member.wait(0.0))
+            news = [item for item in member.wait(0.0) if isinstance(item, Message)]
+            arrived.extend(sorted(news, key=lambda item: item.stamp_ns))  # as they were said
             now_ns = member.now_ns()
             if now_ns is None:
                 continue  # the world has not told the time yet
             while arrived:
-                item = arrived.popleft()
-                if not isinstance(item, Question):
-                    stream.receive(item, now_ns)
+                stream.receive(arrived.popleft(), now_ns)
             for message in stream.tick(now_ns):
                 member.publish(message)
             member.beat(now_ns)

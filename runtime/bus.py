@@ -183,7 +183,8 @@ class Bus:
             chain: of topics that are a chain's, this one's only.
             wake: whether an arrival ends a `wait`; else it is there when something else does.
             poll: for who looks at a steady pace: an arrival wakes nobody, not even the thread that
-                would sort it in. States and commands only; what must arrive comes as ever.
+                would sort it in, and `wait` gives them kind by kind. For states and commands;
+                what must arrive comes as ever.
         """
         for kind in kinds:
             if kind is Presence:
