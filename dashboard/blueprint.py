@@ -86,7 +86,7 @@ def layout(
                         _chart("Loss by epoch", "/training"),
                         _plot("CPU (% of a core)", "/load/cpu", window_s=120.0),
                         _plot("Memory (MB)", "/load/memory", window_s=300.0),
-                        _plot("Speed", "/factor", window_s=120.0),
+                        _plot("Real-time factor", "/factor", window_s=120.0),
                         name="more",
                     ),
                 ),

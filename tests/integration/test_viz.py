@@ -49,7 +49,7 @@ VIEWS = {
     "Loss by epoch",
     "CPU (% of a core)",
     "Memory (MB)",
-    "Speed",
+    "Real-time factor",
     "What the robot does",
     "Processes",
     "Events",
