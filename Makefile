@@ -46,6 +46,7 @@ bench: setup  ## measure the budgets
 pictures: setup  ## the documents' pictures and tables, made anew
 	mkdir -p docs/pictures
 	$(BIN)/myograft demo --picture docs/pictures/demo.png
+	$(BIN)/myograft view elbow --picture docs/pictures/view.png --at 63
 	$(BIN)/python -m docs.topic_table
 	$(BIN)/python -m docs.results
 

@@ -1,64 +1,89 @@
 """The layout made for this work.
 
-The body on the left, what its wires do on the right, and below who is in which state and what
-happened. Plots show the last seconds and follow; ids of views stay the same over restarts.
+The body on the left and how its muscles share the work, what joints and wires do on the right, and
+below who is in which state and what happened. Plots show the last seconds and follow; ids of views
+stay the same over restarts.
 """
 
 from __future__ import annotations
 
 import uuid
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint import encodings
+from rerun.blueprint.api import VisualizerLike
 
-from dashboard.canvas import Floats
+from dashboard.canvas import Axis, Floats
+from dashboard.charts import WIDE
+from dashboard.columns import field_names
+from dashboard.palette import ESTIMATED, MEASURED, REFERENCE
 
 TIMELINE = "robot time"
 WINDOW_S = 30.0
 LANES_S = 60.0
+SMALL = 12  # joints; so many are also shown side by side
 _VIEWS = uuid.UUID("6d796f67-7261-6674-0000-000000000000")  # view ids stay over restarts
+_DARK = (28, 30, 34)
 
 
 def layout(
-    ranges_deg: Mapping[str, tuple[float, float] | None],
+    axes: Sequence[Axis],
     low_m: Floats,
     high_m: Floats,
+    limit_n: float,
     role: str = "",
+    many: bool = False,
 ) -> rrb.Blueprint:
-    """The whole screen for a robot with these joints whose body fills this box (m).
+    """The whole screen for a robot.
 
-    With `role`, the tensions of that role's muscles come first.
+    Args:
+        axes: its joints.
+        low_m: lowest corner of the box that the body fills.
+        high_m: highest corner.
+        limit_n: of tension.
+        role: the tensions of this role's muscles come first.
+        many: there are so many muscles that they need room.
     """
-    roles = [_plot(f"Tension of {role} (N)", "/role", "/limit/zero")] if role else []
+    roles = [_plot(f"Tension, {role} (N)", "/role", "/limit/zero")] if role else []
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
                 rrb.Vertical(
                     _named("body", _body(low_m, high_m)),
-                    _named(
-                        "now",
-                        rrb.TextDocumentView(origin="/status", name="Now"),
-                    ),
-                    row_shares=[3.4, 1],
+                    _chart("Load now: felt (bar), planned (tick)", "/sharing"),
+                    _named("now", rrb.TextDocumentView(origin="/status", name="Now")),
+                    row_shares=[2.6, 2.0, 1.0] if many else [3.0, 1.5, 1.0],
                 ),
                 rrb.Vertical(
-                    _angles(ranges_deg),
+                    _angles(axes),
                     rrb.Tabs(
                         *roles,
-                        _plot("Tension (N)", "/tension", "/limit/tension", "/limit/zero"),
-                        _plot("Planned tension (N)", "/planned", "/limit/zero"),
+                        _muscles(
+                            f"Tension (N), limit {limit_n:g}",
+                            "tension_n",
+                            "/limit/tension",
+                            "/limit/zero",
+                        ),
+                        _muscles("Planned tension (N)", "planned_n", "/limit/zero"),
                         name="tension",
                     ),
                     rrb.Tabs(
-                        _plot(
-                            "Length error, target - measured (mm)", "/length_error", "/limit/zero"
+                        _muscles(
+                            "Length error: felt - predicted (mm)",
+                            "length_error_mm",
+                            "/limit/zero",
                         ),
-                        _plot("Anomaly (times usual residual)", "/anomaly", "/limit/anomaly"),
-                        _plot("Training loss (log10)", "/training", window_s=120.0),
-                        _plot("Temperature (°C)", "/temperature", window_s=300.0),
+                        _muscles("Anomaly (x usual)", "anomaly", "/limit/anomaly"),
+                        _plot(
+                            "Temperature (°C)",
+                            "/temperature",
+                            "/limit/temperature",
+                            window_s=300.0,
+                        ),
+                        _chart("Loss by epoch", "/training"),
                         _plot("CPU (% of a core)", "/load/cpu", window_s=120.0),
                         _plot("Memory (MB)", "/load/memory", window_s=300.0),
                         _plot("Real-time factor", "/factor", window_s=120.0),
@@ -107,30 +132,94 @@ def _plot(
     *paths: str,
     window_s: float = WINDOW_S,
     shown: tuple[float, float] | None = None,
+    lines: Sequence[VisualizerLike] = (),
+    legend: bool = True,
 ) -> rrb.View:
-    """Curves over the last seconds; `shown` is the range of values that is worth the height."""
+    """Curves over the last seconds.
+
+    Args:
+        name: of the view; also what its id is made of.
+        paths: entities; with `lines` one, which these draw instead of what would by itself.
+        window_s: how far back.
+        shown: the range of values that is worth the height.
+        lines: what to draw of which of an entity's fields.
+        legend: whether there is room for one.
+    """
     return _named(
-        paths[0],
+        f"{paths[0]} {name}",
         rrb.TimeSeriesView(
             origin="/",
             contents=list(paths),
             name=name,
             axis_x=rrb.TimeAxis(view_range=_window(window_s), zoom_lock=True),
-            axis_y=rrb.ScalarAxis(range=shown),
+            axis_y=rrb.ScalarAxis(range=shown) if shown else None,
             time_ranges=[_visible(window_s)],
-            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
+            plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop, visible=legend),
+            overrides={paths[0]: lines} if lines else None,
         ),
     )
 
 
-def _angles(
-    ranges_deg: Mapping[str, tuple[float, float] | None],
-) -> rrb.View | rrb.Container:
-    plots = [
-        _plot(f"Angle of {joint} (deg)", f"/angle/{joint}", shown=shown)
-        for joint, shown in ranges_deg.items()
+def _muscles(name: str, value: str, *paths: str) -> rrb.View:
+    """One of the values of all muscles; their names and colours stand beside them."""
+    line = rr.SeriesLines().visualizer(mappings=[_of("Scalars:scalars", f"muscle:{value}")])
+    return _plot(name, "/muscle", *paths, lines=[line])
+
+
+def _of(target: str, component: str, field: str = "") -> encodings.VisualizerComponentMapping:
+    """What a line is drawn of: a component of the entity, or one field of it."""
+    return encodings.VisualizerComponentMapping(
+        target=target,
+        source_kind=encodings.ComponentSourceKind.SourceComponent,
+        source_component=component,
+        selector=f".{field}" if field else None,
+    )
+
+
+def _angles(axes: Sequence[Axis]) -> rrb.View | rrb.Container:
+    """A plot a joint; of several, all side by side first."""
+    fields = field_names([axis.joint for axis in axes])
+    if len(axes) == 1:
+        return _angle(axes[0], fields[axes[0].joint], "Angle of {joint} ({unit})")
+    plots: list[rrb.View | rrb.Container] = [
+        _angle(axis, fields[axis.joint], "{joint} ({unit})") for axis in axes
     ]
-    return plots[0] if len(plots) == 1 else rrb.Tabs(*plots, name="angles")
+    if len(axes) <= SMALL:
+        same = len({axis.unit for axis in axes}) == 1
+        units = f" ({axes[0].unit})" if same else ""
+        small = [_angle(axis, fields[axis.joint], "{joint}", legend=False) for axis in axes]
+        plots.insert(0, rrb.Grid(*small, grid_columns=min(len(axes), 5), name=f"All joints{units}"))
+    return rrb.Tabs(*plots, name="joints")
+
+
+def _angle(axis: Axis, field: str, name: str, legend: bool = True) -> rrb.View:
+    """Wanted, measured, and estimated with a band of one standard deviation."""
+
+    def line(words: str, value: str, color: Sequence[int], width: float) -> VisualizerLike:
+        style = rr.SeriesLines(names=[words], colors=[color], widths=[width])
+        return style.visualizer(mappings=[_of("Scalars:scalars", f"shown:{value}", field)])
+
+    estimated = rr.Measurements(
+        [], names=["estimated from the wires ± 1 σ"], colors=[ESTIMATED], widths=[1.2]
+    ).visualizer(
+        mappings=[
+            _of("Measurements:values", "shown:estimated", field),
+            _of("Measurements:variances", "shown:confidence", field),
+        ]
+    )
+    words = name.format(joint=axis.joint, unit=axis.unit)
+    lines = (
+        estimated,
+        line("reference", "reference", REFERENCE, 1.2),
+        line("measured", "measured", MEASURED, 4.0),
+    )
+    return _plot(words, "/joint", shown=axis.shown, lines=lines, legend=legend)
+
+
+def _chart(name: str, path: str) -> rrb.View:
+    bounds = rrb.VisualBounds2D(x_range=[0.0, WIDE], y_range=[0.0, 1.0])
+    view = rrb.Spatial2DView(origin=path, name=name, background=_DARK, visual_bounds=bounds)
+    return _named(path, view)
 
 
 def _lanes(name: str, *paths: str) -> rrb.View:
@@ -165,9 +254,9 @@ def _body(low_m: Floats, high_m: Floats) -> rrb.View:
     reach = float(max(high_m - low_m))
     return rrb.Spatial3DView(
         origin="/",
-        contents=["/robot/**", "/wires", "/modules"],
+        contents=["/robot/**", "/wires"],
         name="Body at the measured angles, wires coloured by tension",
-        background=(28, 30, 34),
+        background=_DARK,
         line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,

@@ -7,13 +7,15 @@ MJCF has it, goes with the hand that says it holds it, and stays where that open
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
-from dashboard.canvas import Floats, Shape
+from dashboard.canvas import Axis, Floats, Poses, Shape
 from dashboard.palette import Rgb
 from runtime.coordinates import Coordinates, coordinates_of
 from runtime.messages import MusclePath, Place
@@ -50,6 +52,7 @@ class Body:
         self._coordinates = Coordinates(self._model, coordinates_of(self._model))
         self.links = tuple(self._model.body(i).name for i in range(1, self._model.nbody))
         self.muscles = tuple(self._model.tendon(i).name for i in range(self._model.ntendon))
+        self._number = {muscle: i for i, muscle in enumerate(self.muscles)}
 
     def plug(self, muscle: str) -> bool:
         """Make a muscle's wire known; False when neither MJCF nor robot file has a path for it."""
@@ -99,17 +102,22 @@ class Body:
         hand, place = self._data.body(payload.link), np.array(payload.position_m)
         mujoco.mju_mulPose(position, quaternion, hand.xpos, hand.xquat, place, turn)
 
-    def pose(self, link: str) -> tuple[Floats, Floats]:
-        """A link's position in m (3,) and quaternion wxyz (4,) in the world."""
-        index = self.links.index(link) + 1
-        return self._data.xpos[index].copy(), self._data.xquat[index].copy()
+    def poses(self) -> Poses:
+        """Where the links are, in the order of `links`."""
+        return Poses(self._data.xpos[1:].copy(), self._data.xquat[1:].copy())
 
-    def wire(self, muscle: str) -> Floats:
-        """The points (P, 3) of a muscle's wire in the world, in m, laid around its wrappings."""
-        index = self.muscles.index(muscle)
-        start, count = self._data.ten_wrapadr[index], self._data.ten_wrapnum[index]
-        points: Floats = self._data.wrap_xpos.reshape(-1, 3)[start : start + count]
-        return points.copy()
+    def wires(self, muscles: Sequence[str]) -> tuple[Floats, NDArray[np.int32]]:
+        """These muscles' wires in the world, laid around their wrappings.
+
+        Returns:
+            all points (P, 3) in m, one wire after the other, and how many each has (M,).
+        """
+        index = [self._number[muscle] for muscle in muscles]
+        starts, counts = self._data.ten_wrapadr[index], self._data.ten_wrapnum[index]
+        before = np.cumsum(counts) - counts
+        rows = np.repeat(starts - before, counts) + np.arange(counts.sum())
+        points: Floats = self._data.wrap_xpos.reshape(-1, 3)[rows]
+        return points, counts
 
     def shapes(self, link: str) -> list[Shape]:
         """What a link looks like; `world` for what stands still. Floors are left out."""
@@ -142,11 +150,18 @@ class Body:
             faces=faces,
         )
 
-    def ranges_deg(self, joints: Iterable[str]) -> dict[str, tuple[float, float] | None]:
-        """How far each of these joints can turn; None where that is not limited."""
+    def axes(self, joints: Iterable[str]) -> list[Axis]:
+        """How each of these joints is shown."""
         known = Coordinates(self._model, tuple(joints))
-        rows = zip(known.names, np.degrees(known.range_rad).tolist(), known.limited, strict=True)
-        return {name: (low, high) if limited else None for name, (low, high), limited in rows}
+        rows = zip(known.names, known.dof, known.range_rad, known.limited, strict=True)
+        axes = []
+        for name, dof, (low, high), limited in rows:
+            joint = self._model.dof_jntid[dof]
+            slides = self._model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+            unit, scale = ("mm", 1e3) if slides else ("deg", 180.0 / math.pi)
+            shown = (float(low * scale), float(high * scale)) if limited else None
+            axes.append(Axis(name, unit, scale, shown))
+        return axes
 
     def bounds_m(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner of everything that is drawn, in the world, in m."""

@@ -5,6 +5,9 @@ from __future__ import annotations
 import colorsys
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 Rgb = tuple[int, int, int]
 
 # Okabe and Ito's colours first, then lighter ones of Paul Tol's: told apart by colour-blind eyes,
@@ -87,11 +90,9 @@ def slot_color(slot: int) -> Rgb:
     return round(red * 255), round(green * 255), round(blue * 255)
 
 
-def tension_color(fraction: float) -> Rgb:
-    """From a slack wire's cool grey over amber to red at `fraction` 1 of the scale."""
-    low, middle, high = (125, 150, 175), (240, 190, 60), (225, 45, 35)
-    x = min(max(fraction, 0.0), 1.0) * 2.0
-    start, end = (low, middle) if x < 1.0 else (middle, high)
-    part = x if x < 1.0 else x - 1.0
-    red, green, blue = (round(a + (b - a) * part) for a, b in zip(start, end, strict=True))
-    return red, green, blue
+def tension_colors(fraction: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """From a slack wire's cool grey over amber to red at `fraction` 1: (W,) to (W, 3)."""
+    steps = np.array([0.0, 0.5, 1.0])
+    colors = np.array([(125, 150, 175), (240, 190, 60), (225, 45, 35)])
+    parts = [np.interp(fraction, steps, part) for part in colors.T]
+    return np.round(np.stack(parts, axis=-1)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Every curve of the dashboard: one vector a signal, with the muscles in fixed slots.
+"""The curves of muscles and processes: vectors with the muscles in fixed slots.
 
 A muscle that is plugged while the robot runs takes a free slot; one that is gone or silent reads
 NaN, which leaves a gap in its line. So the layout never has to change.
@@ -9,202 +9,158 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
-from dashboard.canvas import Canvas
-from dashboard.palette import CONFIDENCE, ESTIMATED, LIMIT, MEASURED, REFERENCE, Rgb, slot_color
-from dashboard.tracks import Slots, Track
+from dashboard.canvas import Canvas, Muscles
+from dashboard.palette import LIMIT, MEASURED, REFERENCE, Rgb, slot_color
+from dashboard.tracks import Rows, Slots, Track
 from runtime import messages as m
 from runtime.settings import RobotSettings
 
 FAST_NS = 10_000_000
-SLOW_NS = 500_000_000
+SLOW_NS = 1_000_000_000
 STALE_NS = 500_000_000  # who was silent for this long reads NaN
 LIMIT_FROM = 0.5  # of the tension limit: below, its line would only flatten the others
 ODD_ANOMALY = 3.0
-MAX_PROCESSES = 16
+FREE_SLOTS = 12  # for muscles that are plugged while the robot runs
+MAX_PROCESSES = 24
 MANY = 8  # muscles; of more, those with which the spare shares its work are shown by themselves
+_TENSION, _PLANNED, _ERROR, _ANOMALY = range(4)
 
 
 class Plots:
     """Takes the newest of every signal and draws it as rows."""
 
+    inputs = (m.ChainState, m.JointEstimate, m.ExecutiveState, m.Health, m.Clock)
+
     def __init__(self, settings: RobotSettings, canvas: Canvas) -> None:
         self._canvas = canvas
-        self._tension_limit_n = settings.module.tension_limit_n
-        self._joints = settings.joints
-        self.muscles = Slots(max(16, 2 * len(settings.muscle)), settings.muscles)
-        self.processes = Slots(MAX_PROCESSES)
-        self._tracks: dict[str, Track] = {}
+        self._limit_n = settings.module.tension_limit_n
+        self._limit_degc = settings.module.temperature_limit_degc
+        self.muscles = Slots(max(16, len(settings.muscle) + FREE_SLOTS), settings.muscles)
+        self._processes = Slots(MAX_PROCESSES)
+        self._rows = Rows(self.muscles, FAST_NS, layers=4)
+        self._tracks = {"/temperature": Track("/temperature", self.muscles, SLOW_NS)}
+        self._name_muscles()
+        alike = settings.alike if settings.role and len(settings.muscles) > MANY else ()
+        if alike:
+            widths = [1.5] * (len(alike) - 1) + [3.0]
+            slots = [*settings.muscles, *(spare.name for spare in settings.spare)]
+            colors = [slot_color(slots.index(name)) for name in alike]
+            self._track("/role", FAST_NS, alike, colors, widths)
+        for path in ("/load/cpu", "/load/memory"):
+            self._tracks[path] = Track(path, self._processes, SLOW_NS)
+        self._line("/limit/tension", f"limit {self._limit_n:g} N", LIMIT, FAST_NS * 10)
+        self._line("/limit/temperature", f"limit {self._limit_degc:g} °C", LIMIT)
+        self._line("/limit/anomaly", f"odd above {ODD_ANOMALY:g}", LIMIT)
+        self._line("/limit/zero", "zero", REFERENCE, width=0.5)
+        self._line("/factor", "robot time / wall time", MEASURED)
         self._chains: dict[str, m.ChainState] = {}
-        self._reference: dict[str, float] = {}
         self._estimate: m.JointEstimate | None = None
+        self._executive: m.ExecutiveState | None = None
         self._health: dict[str, m.Health] = {}
         self._factor = math.nan
-        for path in ("/tension", "/length_error", "/planned", "/anomaly"):
-            self._track(path)
-        self._track("/temperature", SLOW_NS)
-        self._name_muscles()
-        self._alike = settings.alike if len(settings.muscles) > MANY else ()
-        if self._alike:
-            widths = [1.5] * (len(self._alike) - 1) + [3.0]
-            colors = [slot_color(slot) for slot in range(len(self._alike))]
-            self._track("/role", FAST_NS, self._alike, colors, widths)
-        for joint in self._joints:
-            self._track(
-                f"/angle/{joint}",
-                FAST_NS,
-                ("reference", "measured", "estimated from wires", "± confidence", "± confidence"),
-                (REFERENCE, MEASURED, ESTIMATED, CONFIDENCE, CONFIDENCE),
-                (1.5, 2.5, 1.5, 0.6, 0.6),
-            )
-        self._track("/limit/tension", FAST_NS, ("limit",), (LIMIT,))
-        self._track("/limit/zero", SLOW_NS, ("zero",), (REFERENCE,), (0.5,))
-        self._track("/limit/anomaly", SLOW_NS, ("odd above",), (LIMIT,))
-        self._track(
-            "/training",
-            1,
-            ("all", "new muscle", "old muscles"),
-            (REFERENCE, ESTIMATED, MEASURED),
-        )
-        self._track("/load/cpu", SLOW_NS)
-        self._track("/load/memory", SLOW_NS)
-        self._track("/factor", SLOW_NS, ("real-time factor",), (MEASURED,))
+
+    def _line(
+        self, path: str, name: str, color: Rgb, every_ns: int = SLOW_NS, width: float = 1.5
+    ) -> None:
+        self._track(path, every_ns, (name,), (color,), (width,))
 
     def _track(
         self,
         path: str,
-        every_ns: int = FAST_NS,
-        names: Sequence[str] = (),
-        colors: Sequence[Rgb] = (),
-        widths: Sequence[float] = (),
+        every_ns: int,
+        names: tuple[str, ...],
+        colors: Sequence[Rgb],
+        widths: Sequence[float],
     ) -> None:
-        self._tracks[path] = Track(path, every_ns)
-        if names:
-            self._canvas.lines(path, names, colors, widths or [1.5] * len(names))
+        self._tracks[path] = Track(path, Slots(len(names), names), every_ns)
+        self._canvas.lines(path, names, colors, widths)
+
+    def _add(self, path: str, stamp_ns: int, value: float) -> None:
+        """A row of a track that is one line."""
+        track = self._tracks[path]
+        track.add(stamp_ns, tuple(track.slots.index), (value,))
 
     def _name_muscles(self) -> None:
         names, colors = self.muscles.labels()
-        for path in ("/tension", "/length_error", "/temperature", "/planned", "/anomaly"):
+        for path in ("/muscle", "/temperature"):
             self._canvas.lines(path, names, colors, [1.5] * self.muscles.size)
 
-    def _meet(self, muscles: Sequence[str]) -> None:
-        if self.muscles.take(muscles):
+    def _meet(self, muscles: tuple[str, ...]) -> None:
+        if self.muscles.meet(muscles):
             self._name_muscles()
 
     def receive(self, message: m.Message, now_ns: int) -> None:
-        """Take in one message; what is not plotted is passed over."""
+        """Take in one message of `inputs`."""
         match message:
             case m.ChainState():
                 self._meet(message.muscles)
                 self._chains[message.chain] = message
-            case m.JointState():
-                self._sample_angles(message)
+                if self._rows.due(message.stamp_ns):
+                    self._sample_muscles(message.stamp_ns)
             case m.JointEstimate():
                 self._meet(message.muscles)
                 self._estimate = message
-                self._sample_anomaly(message)
             case m.ExecutiveState():
                 self._meet(message.muscles)
-                self._reference = dict(zip(message.joints, message.reference_rad, strict=False))
-                self._sample_plan(message)
-            case m.TrainingProgress():
-                self._sample_training(message, message.stamp_ns or now_ns)
+                self._executive = message
             case m.Health():
-                if self.processes.take((message.process,)):
-                    names, colors = self.processes.labels()
+                if self._processes.take((message.process,)):
+                    names, colors = self._processes.labels()
                     for path in ("/load/cpu", "/load/memory"):
-                        self._canvas.lines(path, names, colors, [1.5] * self.processes.size)
-                if message.process in self.processes.index:
+                        self._canvas.lines(path, names, colors, [1.5] * self._processes.size)
+                if message.process in self._processes.index:
                     self._health[message.process] = message
             case m.Clock():
                 self._factor = message.real_time_factor
 
-    def sample(self, now_ns: int) -> None:
-        """Keep one row of the muscles when one is due: all chains together in one row."""
-        fresh = [c for c in self._chains.values() if now_ns - c.stamp_ns < STALE_NS]
-        stamp_ns = max((c.stamp_ns for c in fresh), default=now_ns)
-        if self._chains and self._tracks["/tension"].due(stamp_ns):
-            self._sample_muscles(fresh, stamp_ns)
+    def draw(self, now_ns: int) -> None:
+        """Draw all rows that wait."""
+        self._rows.gap(now_ns, STALE_NS)
         if self._tracks["/factor"].due(now_ns):
             self._sample_load(now_ns)
-
-    def draw(self) -> None:
-        """Draw all rows that wait."""
+        if self._rows.waiting:
+            times_s, rows = self._rows.take()
+            self._canvas.muscles(times_s, Muscles(*rows))
         for track in self._tracks.values():
             track.draw(self._canvas)
 
-    def _sample_muscles(self, chains: Sequence[m.ChainState], stamp_ns: int) -> None:
-        tension, error = self.muscles.empty(), self.muscles.empty()
+    def _sample_muscles(self, stamp_ns: int) -> None:
+        """All chains together in one row."""
+        chains = [c for c in self._chains.values() if stamp_ns - c.stamp_ns < STALE_NS]
+        rows, estimate, executive = self._rows, self._estimate, self._executive
+        rows.begin(stamp_ns)
         for chain in chains:
-            self.muscles.fill(tension, chain.muscles, chain.tension_n)
-            pairs = zip(chain.target_length_m, chain.length_m, strict=False)
-            self.muscles.fill(
-                error, chain.muscles, (target - length for target, length in pairs), 1e3
-            )
-        self._tracks["/tension"].add(stamp_ns, tension)
-        if self._alike:
-            felt = {n: f for c in chains for n, f in zip(c.muscles, c.tension_n, strict=False)}
-            row = np.array([felt.get(name, math.nan) for name in self._alike])
-            self._tracks["/role"].add(stamp_ns, row)
-        self._tracks["/length_error"].add(stamp_ns, error)
-        near = np.nanmax(tension, initial=0.0) > LIMIT_FROM * self._tension_limit_n
-        limit = self._tension_limit_n if near else math.nan
-        self._tracks["/limit/tension"].add(stamp_ns, np.array([limit]))
-        if self._tracks["/temperature"].due(stamp_ns):
-            self._tracks["/limit/zero"].add(stamp_ns, np.zeros(1))  # else noise fills the plot
-            temperature = self.muscles.empty()
-            for chain in chains:
-                self.muscles.fill(temperature, chain.muscles, chain.temperature_degc)
-            self._tracks["/temperature"].add(stamp_ns, temperature)
+            rows.put(chain.muscles, chain.tension_n, _TENSION)
+        if executive and abs(stamp_ns - executive.stamp_ns) < STALE_NS:
+            rows.put(executive.muscles, executive.planned_tension_n, _PLANNED)
+        if estimate and abs(stamp_ns - estimate.stamp_ns) < STALE_NS:
+            rows.put(estimate.muscles, estimate.length_error_m, _ERROR)
+            rows.put(estimate.muscles, estimate.anomaly, _ANOMALY)
+        self._sample_by_chain("/role", chains, [chain.tension_n for chain in chains], stamp_ns)
+        greatest_n = max((max(chain.tension_n, default=0.0) for chain in chains), default=0.0)
+        near = greatest_n > LIMIT_FROM * self._limit_n
+        self._add("/limit/tension", stamp_ns, self._limit_n if near else math.nan)
+        degc = [chain.temperature_degc for chain in chains]
+        self._sample_by_chain("/temperature", chains, degc, stamp_ns)
+        self._add("/limit/temperature", stamp_ns, self._limit_degc)
+        self._add("/limit/anomaly", stamp_ns, ODD_ANOMALY)
+        self._add("/limit/zero", stamp_ns, 0.0)  # else noise fills the plot
 
-    def _sample_angles(self, state: m.JointState) -> None:
-        measured = dict(zip(state.joints, state.angle_rad, strict=False))
-        estimate = self._estimate
-        estimated: dict[str, tuple[float, float]] = {}
-        if estimate and abs(state.stamp_ns - estimate.stamp_ns) < STALE_NS:
-            pairs = zip(estimate.angle_rad, estimate.confidence_rad, strict=False)
-            estimated = dict(zip(estimate.joints, pairs, strict=False))
-        for joint in self._joints:
-            track = self._tracks[f"/angle/{joint}"]
-            if joint not in measured or not track.due(state.stamp_ns):
-                continue
-            angle, spread = estimated.get(joint, (math.nan, math.nan))
-            row = (
-                self._reference.get(joint, math.nan),
-                measured[joint],
-                angle,
-                angle + spread,
-                angle - spread,
-            )
-            track.add(state.stamp_ns, np.rad2deg(row))
-
-    def _sample_anomaly(self, estimate: m.JointEstimate) -> None:
-        if self._tracks["/anomaly"].due(estimate.stamp_ns):
-            row = self.muscles.empty()
-            self.muscles.fill(row, estimate.muscles, estimate.anomaly)
-            self._tracks["/anomaly"].add(estimate.stamp_ns, row)
-        if self._tracks["/limit/anomaly"].due(estimate.stamp_ns):
-            self._tracks["/limit/anomaly"].add(estimate.stamp_ns, np.array([ODD_ANOMALY]))
-
-    def _sample_plan(self, executive: m.ExecutiveState) -> None:
-        if executive.muscles and self._tracks["/planned"].due(executive.stamp_ns):
-            row = self.muscles.empty()
-            self.muscles.fill(row, executive.muscles, executive.planned_tension_n)
-            self._tracks["/planned"].add(executive.stamp_ns, row)
-
-    def _sample_training(self, progress: m.TrainingProgress, stamp_ns: int) -> None:
-        row = np.full(3, math.nan)  # so a new job's line does not join the last one's
-        if progress.stage == "training":
-            losses = (progress.loss, progress.loss_new, progress.loss_old)
-            row = np.array([math.log10(x) if x > 0.0 else math.nan for x in losses])
-        self._tracks["/training"].add(stamp_ns, row)
+    def _sample_by_chain(
+        self,
+        path: str,
+        chains: Sequence[m.ChainState],
+        values: Sequence[Sequence[float]],
+        stamp_ns: int,
+    ) -> None:
+        track = self._tracks.get(path)
+        if track and track.due(stamp_ns):
+            track.begin(stamp_ns)
+            for chain, row in zip(chains, values, strict=True):
+                track.put(chain.muscles, row)
 
     def _sample_load(self, now_ns: int) -> None:
-        cpu, memory = self.processes.empty(), self.processes.empty()
-        names = list(self._health)
-        self.processes.fill(cpu, names, (h.cpu_percent for h in self._health.values()))
-        self.processes.fill(memory, names, (h.memory_mb for h in self._health.values()))
-        for path, row in (("/load/cpu", cpu), ("/load/memory", memory)):
-            self._tracks[path].add(now_ns, row)
-        self._tracks["/factor"].add(now_ns, np.array([self._factor]))
+        names, health = tuple(self._health), self._health.values()
+        self._tracks["/load/cpu"].add(now_ns, names, [h.cpu_percent for h in health])
+        self._tracks["/load/memory"].add(now_ns, names, [h.memory_mb for h in health])
+        self._add("/factor", now_ns, self._factor)

@@ -17,6 +17,16 @@ _LEVELS = {"warning": "WARN", "error": "ERROR"}
 class Story:
     """Turns states and events into lanes and lines; what did not change is not drawn again."""
 
+    inputs = (
+        m.ExecutiveState,
+        m.ChainBody,
+        m.GroupState,
+        m.SchemaVersion,
+        m.Event,
+        m.TrainingProgress,
+        m.Clock,
+    )
+
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
         self._lanes: dict[str, str] = {}
@@ -29,7 +39,7 @@ class Story:
         self._progress: m.TrainingProgress | None = None
 
     def receive(self, message: m.Message, now_ns: int) -> None:
-        """Take in one message; what tells no story is passed over."""
+        """Take in one message of `inputs`."""
         match message:
             case m.ExecutiveState():
                 self._executive = message
@@ -82,9 +92,9 @@ class Story:
     def _words(self) -> str:
         executive = self._executive
         if executive is None:
-            return "# waiting for the executive"
+            return "## waiting for the executive"
         step = f" {executive.step}/{executive.steps}" if executive.steps else ""
-        title = f"# {executive.stage}{step}"
+        title = f"## {executive.stage}{step}"
         lines = []
         if executive.growing:
             lines.append(f"taking in **{executive.growing}**")

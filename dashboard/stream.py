@@ -6,36 +6,26 @@ since it last drew and no more, so nothing grows however long the robot runs.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
+from dashboard.angles import JointAngles
 from dashboard.canvas import Canvas
+from dashboard.charts import Learning, Sharing
 from dashboard.plots import Plots
 from dashboard.scene import Scene, Skeleton
 from dashboard.story import Story
 from runtime import messages as m
 from runtime.settings import RobotSettings
 
-DRAW_NS = 100_000_000
-FRAME_NS = 66_000_000
+Reader = Callable[[m.Message, int], None]
+
+DRAW_NS = 160_000_000
+FRAME_NS = 64_000_000
 
 
 class Stream:
     """Draws one robot. `url`, where the picture can be watched, is announced once."""
 
-    inputs: tuple[type[m.Message], ...] = (
-        m.ChainState,
-        m.JointState,
-        m.JointEstimate,
-        m.ChainBody,
-        m.HandState,
-        m.ExecutiveState,
-        m.TrainingProgress,
-        m.SchemaVersion,
-        m.GroupState,
-        m.Event,
-        m.Clock,
-        m.Health,
-    )
     requests: tuple[type[m.Message], ...] = ()
     period_ns = DRAW_NS
 
@@ -46,29 +36,40 @@ class Stream:
         body: Skeleton | None = None,
         url: str = "",
     ) -> None:
+        self._canvas = canvas
         self._plots = Plots(settings, canvas)
+        self._angles = JointAngles(settings.joints, canvas)
+        self._sharing = Sharing(self._plots.muscles, settings.module.tension_limit_n)
+        self._learning = Learning()
         self._story = Story(canvas)
         self._scene = Scene(settings, canvas, body, self._plots.muscles) if body else None
+        parts = (self._plots, self._angles, self._sharing, self._learning, self._story, self._scene)
+        self._readers: dict[type[m.Message], list[Reader]] = {}
+        for part in parts:
+            if part is not None:
+                for kind in part.inputs:
+                    self._readers.setdefault(kind, []).append(part.receive)
+        self.inputs = tuple(self._readers)
         self._url = url
         self._drawn_ns = self._framed_ns = -DRAW_NS
 
     def receive(self, message: m.Message, now_ns: int) -> None:
         """Take in one message."""
-        self._plots.receive(message, now_ns)
-        self._story.receive(message, now_ns)
-        if self._scene:
-            self._scene.receive(message, now_ns)
+        for reader in self._readers[type(message)]:
+            reader(message, now_ns)
 
     def answer(self, request: m.Message, now_ns: int) -> m.Reply:
         """Nobody asks the dashboard anything."""
         return m.Reply(ok=False, text="viz answers no requests")
 
     def tick(self, now_ns: int) -> Iterable[m.Message]:
-        """Keep a row of what is newest, and draw when it is time."""
-        self._plots.sample(now_ns)
+        """Draw when it is time."""
         if _due(now_ns, self._drawn_ns, DRAW_NS):
             self._drawn_ns = now_ns
-            self._plots.draw()
+            self._plots.draw(now_ns)
+            self._angles.draw(now_ns)
+            self._sharing.draw(self._canvas, now_ns)
+            self._learning.draw(self._canvas, now_ns)
             self._story.draw(now_ns)
         if self._scene and _due(now_ns, self._framed_ns, FRAME_NS):
             self._framed_ns = now_ns

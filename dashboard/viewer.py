@@ -20,6 +20,7 @@ from urllib.parse import quote
 
 LOOPBACK = "127.0.0.1"
 START_S = 15.0
+LIVE_MEMORY = "2GB"  # of a window that is open for hours; what it forgets is in the file
 
 
 class ViewerError(RuntimeError):
@@ -89,7 +90,9 @@ def open_view(*sources: str | Path, window: bool | None = None) -> Viewer:
     binary = viewer_binary()
     shown = [str(source) for source in sources]
     if has_display() if window is None else window:
-        return Viewer(_start([binary, "--bind", LOOPBACK, "--port", "auto", *shown]))
+        lives = any("://" in source for source in shown)
+        memory = ["--memory-limit", LIVE_MEMORY] if lives else []
+        return Viewer(_start([binary, "--bind", LOOPBACK, "--port", "auto", *memory, *shown]))
     page_port, data_port = free_port(), free_port()
     files = [source for source in shown if "://" not in source]
     process = _start(

@@ -111,6 +111,7 @@ class Bus:
             self._config.insert_json5("downsampling", json.dumps(_thinning(robot, most_hz)))
         self._where = endpoint or listen
         self._box: Mailbox[_Arrival | Presence] = Mailbox()
+        self._polled: list[tuple[Any, Callable[[zenoh.Sample], None]]] = []
         self._declared: list[Any] = []  # kept alive: tokens die with their Python objects
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._courier = _Courier()
@@ -133,7 +134,7 @@ class Bus:
     ) -> None:
         # Every callback must be undeclared, or the interpreter hangs at its exit.
         self._courier.stop()
-        for declared in reversed(self._declared):
+        for declared in (*(ring for ring, _ in self._polled), *reversed(self._declared)):
             declared.undeclare()
         self._session.close()  # type: ignore[no-untyped-call]
 
@@ -189,7 +190,12 @@ class Bus:
     # ── in ─────────────────────────────────────────────────────────────────────────────────────
 
     def subscribe(
-        self, *kinds: type[Message], every: bool = False, chain: str = "*", wake: bool = True
+        self,
+        *kinds: type[Message],
+        every: bool = False,
+        chain: str = "*",
+        wake: bool = True,
+        poll: bool = False,
     ) -> None:
         """Take in messages of these types; `Presence` tells of processes coming and going.
 
@@ -197,12 +203,15 @@ class Bus:
             every: keep each sample in order, whatever its topic says: for a recorder.
             chain: of topics that are a chain's, this one's only.
             wake: whether an arrival ends a `wait`; else it is there when something else does.
+            poll: for who looks at a steady pace: an arrival wakes nobody, not even the thread that
+                would sort it in, and `wait` gives them kind by kind. For states and commands;
+                what must arrive comes as ever.
         """
         for kind in kinds:
             if kind is Presence:
                 self._watch_presence()
             else:
-                self._subscribe(BY_TYPE[kind], every, chain, wake)
+                self._subscribe(BY_TYPE[kind], every, chain, wake and not poll, poll)
 
     def overhear(self, pattern: str, heard: Callable[[Overheard], None], *, retained: bool) -> None:
         """Take in whatever is published on these keys, ours or not.
@@ -243,6 +252,9 @@ class Bus:
     def wait(self, timeout_s: float) -> list[Message | Question]:
         """What arrived, oldest first, after at most this time. Reads, and drops what is odd."""
         read: list[Message | Question] = []
+        for subscriber, arrived in self._polled:
+            while (sample := subscriber.try_recv()) is not None:
+                arrived(sample)
         for arrival in self._box.wait(timeout_s):
             item = arrival if isinstance(arrival, Presence) else self._open(arrival)
             if item is not None:
@@ -266,7 +278,7 @@ class Bus:
 
     # ── inside ─────────────────────────────────────────────────────────────────────────────────
 
-    def _subscribe(self, topic: Topic, every: bool, chain: str, wake: bool) -> None:
+    def _subscribe(self, topic: Topic, every: bool, chain: str, wake: bool, poll: bool) -> None:
         kind, keep = topic.message, topic.keep
         newest_only = keep in (Keep.LATEST, Keep.RETAINED) and not every
         depth = 1 if newest_only else QUEUE_DEPTH
@@ -291,6 +303,9 @@ class Bus:
                     recovery=zext.RecoveryConfig(periodic_queries=None, heartbeat=True),
                 )
             )
+        elif poll:
+            ring: Any = zenoh.handlers.RingChannel(QUEUE_DEPTH)
+            self._polled.append((self._session.declare_subscriber(pattern, ring), arrived))
         else:
             self._declared.append(self._session.declare_subscriber(pattern, arrived))
 

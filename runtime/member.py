@@ -51,12 +51,17 @@ class Member:
         bus.subscribe(Presence)
 
     def subscribe(
-        self, *kinds: type[Message], every: bool = False, chain: str = "*", wake: bool = True
+        self,
+        *kinds: type[Message],
+        every: bool = False,
+        chain: str = "*",
+        wake: bool = True,
+        poll: bool = False,
     ) -> None:
         """Take in messages of these types (see `Bus.subscribe`)."""
         self._wanted.update(kinds)
         told = (kind for kind in kinds if kind is not Presence)
-        self.bus.subscribe(*told, every=every, chain=chain, wake=wake)
+        self.bus.subscribe(*told, every=every, chain=chain, wake=wake, poll=poll)
 
     def serve(self, *kinds: type[Message], chain: str = "*") -> None:
         """Answer requests of these types (see `Bus.serve`)."""

@@ -195,6 +195,7 @@ class JointEstimate(Message, frozen=True, kw_only=True):
     predicted_length_m: tuple[float, ...]
     predicted_tension_n: tuple[float, ...]
     anomaly: tuple[float, ...]  # length residual over its usual size; above 3 is odd
+    length_error_m: tuple[float, ...] = ()  # felt minus predicted, of the same reading
 
 
 class Place(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -284,6 +285,7 @@ class TrainingProgress(Message, frozen=True, kw_only=True):
 
     job: str
     stage: str  # starting | training | done | failed
+    method: str = ""  # of relearning; of another kind of job its kind
     epoch: int = 0
     epochs: int = 0
     loss: float = 0.0

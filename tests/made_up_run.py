@@ -58,6 +58,7 @@ def run(seconds: float) -> Iterator[tuple[int, m.Message]]:
                     stamp_ns=now_ns,
                     job="grow-1",
                     stage="training",
+                    method="iv",
                     epoch=epoch,
                     epochs=300,
                     loss=loss,
@@ -167,6 +168,7 @@ def _signals(
             predicted_length_m=tuple(length[:3]),
             predicted_tension_n=tuple(tension[:3]),
             anomaly=tuple(0.8 + 0.4 * math.sin(t + k) for k in range(3)),
+            length_error_m=tuple(2e-4 * math.sin(t + k) for k in range(3)),
         ),
     )
     yield (

@@ -135,4 +135,5 @@ class Estimator:
             predicted_length_m=tuple(found.length_m.tolist()),
             predicted_tension_n=tuple(schema.tensions(found.angle_rad, length).tolist()),
             anomaly=tuple(np.abs(found.residual).tolist()),
+            length_error_m=tuple((length - found.length_m).tolist()),
         )

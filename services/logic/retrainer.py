@@ -193,14 +193,14 @@ class Retrainer:
             known = isinstance(error, (TrainingError, SchemaError))
             self._tell(job, "failed", str(error) if known else repr(error))
         else:
-            method = job.method if job.kind == "grow" else job.kind
+            method = _method(job)
             train_s = self._wall_s() - run.started_s
             version = self._versions.add(schema, method, CANDIDATE, job.job, run.parent, train_s)
             self._tell(job, "done")
             self._publish_candidate(version)
 
     def _tell(self, job: TrainingJob, stage: str, text: str = "") -> None:
-        self._out.append(TrainingProgress(job=job.job, stage=stage, text=text))
+        self._out.append(TrainingProgress(job=job.job, stage=stage, method=_method(job), text=text))
 
     # ── versions ──────────────────────────────────────────────────────────────────────────────
 
@@ -291,6 +291,7 @@ class _Run:
                 TrainingProgress(
                     job=self.job.job,
                     stage="training",
+                    method=_method(self.job),
                     epoch=epoch,
                     epochs=epochs,
                     loss=loss,
@@ -306,6 +307,10 @@ def _words(row: VersionRow) -> str:
     if row.residual_mm:
         words += f", off by {max(row.residual_mm.values()):.2f} mm at most"
     return f"{words} ({row.reason})" if row.state == REFUSED else words
+
+
+def _method(job: TrainingJob) -> str:
+    return job.method if job.kind == "grow" else job.kind
 
 
 def _event(level: str, kind: str, text: str, **data: str) -> Event:

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import ctypes.util
-import os
-import signal
-import subprocess
-import sys
 import time
 import urllib.request
 import warnings
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
+from dashboard.photo import photograph
 from dashboard.viewer import free_port, open_view, viewer_binary
 from runtime import messages as m
 from runtime.bus import Bus
+from runtime.settings import load_robot
 from tests.made_up_run import ADDED, PLUG_S, run
+from tests.viz_process import Viz
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient, ViewerState
 
 pytest.importorskip("rerun", reason="needs the extra myograft[view]")
 
@@ -33,6 +36,31 @@ NEEDS_VULKAN = pytest.mark.skipif(
     reason="the viewer draws by Vulkan: apt-get install mesa-vulkan-drivers libvulkan1",
 )
 SPEED = 10.0
+VIEWS = {
+    "Body at the measured angles, wires coloured by tension",
+    "Load now: felt (bar), planned (tick)",
+    "Now",
+    "Angle of elbow (deg)",
+    "Tension (N), limit 150",
+    "Planned tension (N)",
+    "Length error: felt - predicted (mm)",
+    "Anomaly (x usual)",
+    "Temperature (°C)",
+    "Loss by epoch",
+    "CPU (% of a core)",
+    "Memory (MB)",
+    "Real-time factor",
+    "What the robot does",
+    "Processes",
+    "Events",
+}
+
+
+def headless() -> ViewerClient:
+    """Rerun's own viewer without a screen; a context manager."""
+    from rerun.experimental import ViewerClient
+
+    return ViewerClient.spawn(headless=True, port=free_port(), executable_path=viewer_binary())
 
 
 def contents(file: Path) -> tuple[str, Counter[str], set[str]]:
@@ -54,21 +82,29 @@ def contents(file: Path) -> tuple[str, Counter[str], set[str]]:
     return recording.recording_id, rows, said
 
 
+def without_reports(viewer: ViewerClient) -> ViewerState:
+    """The viewer's state once no view complains; while data come in, some may."""
+    deadline = time.monotonic() + 10.0
+    while True:
+        viewer.take_screenshot()
+        state = viewer.get_state()
+        reports = [(view.name, report) for view in state.views for report in view.reports]
+        if not reports and state.recordings:
+            return state
+        assert time.monotonic() < deadline, reports or "no recording came"
+
+
 def draw(file: Path, seconds: float) -> None:
     """A made-up run, drawn into a file at once."""
-    from dashboard.blueprint import layout
-    from dashboard.body import Body
-    from dashboard.sinks import RerunCanvas
     from dashboard.stream import Stream
-    from runtime.settings import load_robot
+    from dashboard.viz import canvas_of
 
     settings = load_robot("elbow")
-    body = Body(settings)
-    picture = layout(body.ranges_deg(settings.joints), *body.bounds_m())
-    canvas = RerunCanvas("elbow", "made-up", picture, file)
+    body, canvas = canvas_of(settings, "made-up", file)
     stream = Stream(settings, canvas, body)
     for now_ns, message in run(seconds):
-        stream.receive(message, now_ns)
+        if type(message) in stream.inputs:
+            stream.receive(message, now_ns)
         list(stream.tick(now_ns))
     canvas.close()
 
@@ -83,32 +119,52 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_file_holds_the_whole_run(recording: Path) -> None:
     run_id, rows, said = contents(recording)
     assert run_id == "elbow-made-up"
-    assert rows["/tension"] > 90 * PLUG_S
+    assert rows["/muscle"] > 90 * PLUG_S
+    assert rows["/joint"] > 45 * PLUG_S
     assert rows["/wires"] > 12 * PLUG_S
-    assert rows["/robot/forearm"] == rows["/robot/upper_arm"] == rows["/wires"]
-    assert rows["/angle/elbow"] > 90 * PLUG_S
+    assert rows["/robot/frames"] == 2 * rows["/wires"], "upper arm and forearm"
+    assert rows["/sharing"] > 2 * PLUG_S
     assert rows[f"/lane/module/{ADDED}"] == 3, "how it looks, joining, up"
     assert {"join", "collect", "executive: collect begins"} <= said
 
 
 @NEEDS_VULKAN
 def test_viewer_shows_every_view_without_a_warning(recording: Path, tmp_path: Path) -> None:
-    from rerun.experimental import ViewerClient
-
-    picture = tmp_path / "picture.png"
-    with ViewerClient.spawn(
-        headless=True, port=free_port(), executable_path=viewer_binary()
-    ) as viewer:
+    with headless() as viewer:
         viewer.open(str(recording))
-        viewer.save_screenshot(str(picture))
-        state = viewer.get_state()
-    names = {view.name for view in state.views}
-    assert {"Angle of elbow (deg)", "Tension (N)", "What the robot does", "Events"} <= names
-    assert any(view.view_class == "3D" for view in state.views)
-    assert [(view.name, report) for view in state.views for report in view.reports] == []
+        state = without_reports(viewer)
+    assert {view.name for view in state.views} == VIEWS
     (shown,) = state.recordings
     assert shown.current_timeline == "robot time"
-    assert picture.stat().st_size > 20_000, "an empty window packs to less"
+
+
+@NEEDS_VULKAN
+def test_one_can_look_back_and_follow_again(recording: Path, tmp_path: Path) -> None:
+    with headless() as viewer:
+        viewer.open(str(recording))
+        (start,) = viewer.get_state().recordings
+        newest_ns = round((PLUG_S + 6.0) * 1e9)
+        assert start.current_time == pytest.approx(newest_ns, abs=0.5e9), "it follows"
+        viewer.set_time(duration=PLUG_S - 6.0, play_state="paused")
+        before = viewer.take_screenshot()
+        viewer.set_time(duration=PLUG_S + 4.0)
+        after = viewer.take_screenshot()
+        (back,) = viewer.get_state().recordings
+        assert back.current_time == round((PLUG_S + 4.0) * 1e9), "paused, it stays"
+        viewer.set_time(play_state="following")
+        viewer.take_screenshot()
+        (again,) = viewer.get_state().recordings
+    assert again.current_time == start.current_time
+    assert min(len(before), len(after)) > 40_000, "an empty window packs to less"
+    assert before != after
+
+
+@NEEDS_VULKAN
+def test_view_writes_the_screen_as_a_picture(recording: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "picture.png"
+    photograph([str(recording)], picture, PLUG_S)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert picture.stat().st_size > 40_000
 
 
 def test_page_is_served_on_loopback_and_ends_with_its_owner(recording: Path) -> None:
@@ -130,15 +186,6 @@ def hub() -> Iterator[tuple[Bus, str]]:
         yield bus, endpoint
 
 
-def start_viz(endpoint: str, folder: Path) -> subprocess.Popen[bytes]:
-    run_dir = folder / "run-1"
-    run_dir.mkdir(exist_ok=True)
-    command = [sys.executable, "-m", "runtime.process", "viz", "--robot", "elbow"]
-    where = ["--run-dir", str(run_dir), "--state-dir", str(folder), "--endpoint", endpoint]
-    with (folder / "viz.log").open("ab") as log:
-        return subprocess.Popen([*command, *where], stdout=log, stderr=log)
-
-
 def play(bus: Bus, begin_s: float, end_s: float) -> list[m.Message]:
     """Say a piece of the made-up run on the bus, faster than life. Gives what was heard."""
     heard: list[m.Message] = []
@@ -157,69 +204,72 @@ def play(bus: Bus, begin_s: float, end_s: float) -> list[m.Message]:
     return heard
 
 
-def await_ready(bus: Bus, process: subprocess.Popen[bytes]) -> None:
-    deadline = time.monotonic() + 30.0
-    while "viz" not in bus.alive(0.2):
-        assert process.poll() is None, "viz ended at once: see its log"
-        assert time.monotonic() < deadline, "viz does not become ready"
-        bus.wait(0.1)
-
-
-def end(process: subprocess.Popen[bytes], how: signal.Signals) -> int:
-    process.send_signal(how)
-    return process.wait(15.0)
+def told_address(bus: Bus, heard: list[m.Message]) -> str:
+    """The address that viz told, in what was heard or soon after."""
+    deadline = time.monotonic() + 10.0
+    while not (told := [e for e in heard if isinstance(e, m.Event) and e.kind == "viewer"]):
+        assert time.monotonic() < deadline, "viz does not tell its address"
+        heard += [x for x in bus.wait(0.5) if isinstance(x, m.Message)]
+    (event,) = told
+    return event.data["url"]
 
 
 def test_process_draws_dies_and_goes_on_in_a_new_file(hub: tuple[Bus, str], tmp_path: Path) -> None:
     bus, endpoint = hub
-    process = start_viz(endpoint, tmp_path)
-    try:
-        await_ready(bus, process)
-        heard = play(bus, 0.0, 10.0)
-        deadline = time.monotonic() + 10.0
-        while not (told := [e for e in heard if isinstance(e, m.Event) and e.kind == "viewer"]):
-            assert time.monotonic() < deadline, "viz does not tell its address"
-            heard += [x for x in bus.wait(0.5) if isinstance(x, m.Message)]
-        (viewer,) = told
-        assert (tmp_path / "run-1" / "elbow.viewer").read_text() == viewer.data["url"]
+    with Viz(load_robot("elbow"), bus, endpoint, tmp_path) as viz:
+        address = told_address(bus, play(bus, 0.0, 10.0))
+        assert viz.url == address
         bus.wait(0.5)
-        end(process, signal.SIGKILL)
-        process = start_viz(endpoint, tmp_path)
-        await_ready(bus, process)
-        play(bus, 10.0, 20.0)
-        assert end(process, signal.SIGTERM) == 0
-    finally:
-        if process.poll() is None:
-            end(process, signal.SIGKILL)
-    first, rows, _ = contents(tmp_path / "run-1" / "elbow.rrd")
-    second, more_rows, said = contents(tmp_path / "run-1" / "elbow-2.rrd")
+        viz.process.kill()
+        viz.process.wait()
+    with Viz(load_robot("elbow"), bus, endpoint, tmp_path) as viz:
+        assert viz.url == told_address(bus, play(bus, 10.0, 20.0))
+        assert viz.url != address, "a page has to open it anew"
+        assert viz.end() == 0
+    first, rows, _ = contents(viz.run_dir / "elbow.rrd")
+    second, more_rows, said = contents(viz.run_dir / "elbow-2.rrd")
     assert first == second == "elbow-run-1", "both open as one run"
-    assert rows["/tension"] > 10
-    assert more_rows["/tension"] > 10
+    assert rows["/muscle"] > 10
+    assert more_rows["/muscle"] > 10
     assert "collect" in said
 
 
 @NEEDS_VULKAN
 def test_a_viewer_that_joins_late_sees_the_live_run(hub: tuple[Bus, str], tmp_path: Path) -> None:
-    from rerun.experimental import ViewerClient
-
     bus, endpoint = hub
-    process = start_viz(endpoint, tmp_path)
-    try:
-        await_ready(bus, process)
+    with Viz(load_robot("elbow"), bus, endpoint, tmp_path) as viz:
         play(bus, 0.0, 14.0)
-        url = (tmp_path / "run-1" / "elbow.viewer").read_text()
-        with ViewerClient.spawn(
-            headless=True, port=free_port(), executable_path=viewer_binary()
-        ) as viewer:
-            viewer.open(url)
+        with headless() as viewer:
+            viewer.open(viz.url)
             play(bus, 14.0, 18.0)
-            deadline = time.monotonic() + 15.0
-            while not (state := viewer.get_state()).recordings and time.monotonic() < deadline:
-                bus.wait(0.2)
+            state = without_reports(viewer)
         (shown,) = state.recordings
         assert shown.store_id.endswith("elbow-run-1")
-        assert [report for view in state.views for report in view.reports] == []
-    finally:
-        end(process, signal.SIGTERM)
-    assert os.path.exists(tmp_path / "run-1" / "elbow.rrd")
+        assert viz.end() == 0
+
+
+def test_who_polls_the_bus_gets_every_sample_or_the_newest(hub: tuple[Bus, str]) -> None:
+    bus, endpoint = hub
+    with Bus("elbow", "poller", endpoint=endpoint) as poller:
+        poller.subscribe(m.JointState, every=True, poll=True)
+        poller.subscribe(m.ExecutiveState, poll=True)
+        heard: list[m.Message] = []
+        deadline = time.monotonic() + 10.0
+        number = 0
+        while not heard and time.monotonic() < deadline:  # until the two have met
+            number += 1
+            bus.publish(m.JointState(stamp_ns=number, source="x", joints=(), angle_rad=()))
+            time.sleep(0.02)
+            heard = [x for x in poller.wait(0.0) if isinstance(x, m.Message)]
+        for stamp_ns in range(1000, 1100):
+            bus.publish(m.JointState(stamp_ns=stamp_ns, source="x", joints=(), angle_rad=()))
+            bus.publish(m.ExecutiveState(stamp_ns=stamp_ns, stage="hold"))
+        heard = []
+        while time.monotonic() < deadline and not any(
+            isinstance(x, m.ExecutiveState) and x.stamp_ns == 1099 for x in heard
+        ):
+            time.sleep(0.05)
+            heard += [x for x in poller.wait(0.0) if isinstance(x, m.Message)]
+    states = [x.stamp_ns for x in heard if isinstance(x, m.JointState) and x.stamp_ns >= 1000]
+    assert states == list(range(1000, 1100))
+    assert len([x for x in heard if isinstance(x, m.ExecutiveState)]) < 100

@@ -187,6 +187,7 @@ def test_anomaly_points_to_the_muscle() -> None:
     measured = np.array([0.10, 0.11, 5.0, 0.13])
     expected = np.abs(measured - made.predicted_length_m) / schema.length_sigma_m
     np.testing.assert_allclose(made.anomaly, expected)
+    np.testing.assert_allclose(made.length_error_m, measured - made.predicted_length_m)
 
 
 def test_zero_sigma_gives_finite_anomaly() -> None:

@@ -127,6 +127,7 @@ def test_a_job_ends_in_a_candidate_that_nobody_uses_yet(store: MemoryStore) -> N
     *progress, done, candidate = out(retrainer)
     assert progress
     assert all(isinstance(p, m.TrainingProgress) and p.stage == "training" for p in progress)
+    assert {p.method for p in (starting, *progress)} == {candidate.method}  # type: ignore[attr-defined]
     assert isinstance(done, m.TrainingProgress)
     assert done.stage == "done"
     assert isinstance(candidate, m.SchemaCandidate)
