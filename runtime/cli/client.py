@@ -30,15 +30,17 @@ class Client:
         return self.bus.request(message, timeout_s)
 
     def gather(self, enough: Callable[[Message], bool], timeout_s: float) -> list[Message]:
-        """Messages of the types subscribed to, until one is `enough` or time is up."""
+        """Messages of the types subscribed to, until one is `enough` or time is up.
+
+        What came together with that one is there, too.
+        """
         gathered: list[Message] = []
         deadline = time.monotonic() + timeout_s
         while (left := deadline - time.monotonic()) > 0:
-            for item in self.bus.wait(left):
-                if not isinstance(item, Question):
-                    gathered.append(item)
-                    if enough(item):
-                        return gathered
+            came = [item for item in self.bus.wait(left) if not isinstance(item, Question)]
+            gathered += came
+            if any([enough(message) for message in came]):  # every one is shown to it
+                break
         return gathered
 
 

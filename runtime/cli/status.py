@@ -11,7 +11,7 @@ from runtime import messages as m
 from runtime.cli.client import Client, add_robot_argument, with_robot
 from runtime.cli.main import DONE
 
-LISTEN_S = 0.15  # at most: what is retained or fast has arrived by then
+LISTEN_S = 0.5  # at most: a simulated robot that is whole has told everything long before
 
 
 class Status:
@@ -97,7 +97,10 @@ class Picture:
             return False
         ready = [row.process for row in self.group.processes if row.state == "ready"]
         healthy = all(process in self.health for process in ready)
-        return healthy and bool(self.states) and self.bodies.keys() == self.states.keys()
+        learned = self.schema is not None or not self.executive.schema_version
+        return (
+            healthy and learned and bool(self.states) and self.bodies.keys() == self.states.keys()
+        )
 
     def as_dict(self) -> dict[str, object]:
         """For `--json`."""
