@@ -8,16 +8,35 @@ from pathlib import Path
 
 import pytest
 
-from docs.topic_table import BEGIN, END, PAGE, with_table
+from docs.reference import BEGIN, END, ROOT, pages
+from docs.source import classes
+from runtime import messages, settings
+from runtime.wire.registers import BY_NAME, MEANINGS
 
-ROOT = PAGE.parent
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 
 
-def test_topic_table_is_current() -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    assert page.count(BEGIN) == page.count(END) == 1
-    assert page == with_table(page), "run `python -m docs.topic_table`"
+def test_the_reference_is_what_the_code_gives() -> None:
+    stale = [path.name for path, text in pages().items() if path.read_text("utf-8") != text]
+    assert stale == [], "run `make docs`"
+    architecture = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    assert architecture.count(BEGIN) == architecture.count(END) == 1
+
+
+def test_the_reference_finds_what_stands_behind_a_field() -> None:
+    state = {field.name: field for field in classes(messages)["ChainState"].fields}
+    assert state["length_m"].type == "[number, ...]"
+    assert state["length_m"].unit == "m"
+    assert state["length_m"].meaning == "wire paid out, from the module's length zero"
+    assert classes(messages)["ChainState"].section == "the daisy chains"
+    control = {field.name: field for field in classes(settings)["Control"].fields}
+    assert control["stiffness_n_m"].unit == "N/m"
+    assert control["sharing"].type == '"norm" or "peak"'
+    assert control["settle_s"].default == "0.6"
+
+
+def test_every_register_has_a_meaning() -> None:
+    assert MEANINGS.keys() == BY_NAME.keys()
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
