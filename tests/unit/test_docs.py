@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -11,7 +12,10 @@ import pytest
 from docs.reference import BEGIN, END, ROOT, pages
 from docs.source import classes
 from runtime import messages, settings
+from runtime.cli.main import DONE, main
+from runtime.settings import load_robot
 from runtime.wire.registers import BY_NAME, MEANINGS
+from tests.shown import HOWTOS, RUN_ELSEWHERE, blocks, check, shown
 
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 
@@ -50,14 +54,51 @@ def test_links_lead_somewhere(document: Path) -> None:
     assert missing == []
 
 
+def test_commands_that_are_shown_are_understood() -> None:
+    assert len(shown()) > 50, "are the blocks no longer marked?"
+    for command in shown():
+        try:
+            check(command)
+        except SystemExit:
+            pytest.fail(f"{command}: its parser does not understand it")
+
+
+@pytest.mark.parametrize(("name", "test"), RUN_ELSEWHERE.items())
+def test_what_is_not_run_as_it_is_shown_is_run_elsewhere(name: str, test: str) -> None:
+    assert f'"{name}"' in (ROOT / test).read_text(encoding="utf-8")
+
+
+def test_commands_that_need_no_robot_do_what_is_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each once, in the order of reading, in a folder where a document's own files lie."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tests").symlink_to(ROOT / "tests")
+    for document in HOWTOS:
+        for block in blocks(document):
+            if block.language == "xml":
+                (tmp_path / re.findall(r"`([\w.]+)`", block.before)[-1]).write_text(block.text)
+    ran = []
+    for command in dict.fromkeys(shown()):
+        if command.words[0] == "cp":
+            shutil.copy(*command.words[1:])
+        elif command.ours and not command.on_robot and command.ours not in RUN_ELSEWHERE:
+            assert main(list(command.words[1:])) == DONE, str(command)
+            ran.append(command.ours)
+    assert {"doctor", "body", "new"} <= set(ran)
+    assert load_robot(str(tmp_path / "my_arm.toml")).muscles
+    assert load_robot(str(tmp_path / "forearm.toml")).muscles
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_commands_that_are_shown_exist(document: Path) -> None:
+def test_commands_that_are_mentioned_exist(document: Path) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     known = set(project["entry-points"]["myograft.commands"])
     text = document.read_text(encoding="utf-8")
     code = re.findall(r"```.*?```|`[^`\n]+`", text, re.DOTALL)
-    shown = re.findall(r"(?:^|`)myograft ([a-z]+)", "\n".join(code), re.MULTILINE)
-    assert set(shown) <= known
+    mentioned = re.findall(r"(?:^|`)myograft ([a-z]+)", "\n".join(code), re.MULTILINE)
+    assert set(mentioned) <= known
 
 
 def test_every_dependency_is_explained() -> None:
