@@ -70,14 +70,16 @@ def serve(settings: RobotSettings, folder: Path, seed: int) -> NoReturn:
         keep_pace(robot, opened)
 
 
-def main() -> int:
+def main(argv: list[str] | None = None) -> int:
     """Run until Ctrl-C."""
     parser = argparse.ArgumentParser(prog="python -m hardware_sim.terminals", description=__doc__)
     configure(parser)
-    args = parser.parse_args()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    args = parser.parse_args(argv)
     try:
-        serve(load_robot(args.robot), args.folder, args.seed)
+        settings = load_robot(args.robot)
+        for number in (signal.SIGINT, signal.SIGTERM):  # ignored by what a shell starts behind
+            signal.signal(number, signal.default_int_handler)
+        serve(settings, args.folder, args.seed)
     except (SettingsError, OSError) as error:
         print(f"python -m hardware_sim.terminals: {error}", file=sys.stderr)
         return 2
