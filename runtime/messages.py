@@ -81,7 +81,7 @@ class Event(Message, frozen=True, kw_only=True):
     level: str  # info | warning | error
     kind: str  # a stable word for scripts: plugged, joined, adopted, process_died, ...
     text: str
-    data: dict[str, str] = {}  # what the text says, for scripts
+    data: dict[str, str] = {}
 
 
 # ── the daisy chains ──────────────────────────────────────────────────────────────────────────
@@ -345,7 +345,7 @@ class Fault(Message, frozen=True, kw_only=True):
 
     kind: str
     target: str  # muscle or chain
-    amount: float = 0.0  # see `myograft fault --help`
+    amount: float = 0.0
 
 
 # ── simulation's truth, for scoring only ──────────────────────────────────────────────────────

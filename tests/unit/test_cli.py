@@ -6,15 +6,10 @@ import argparse
 import subprocess
 import sys
 from pathlib import Path
-from typing import cast
 
 import pytest
 
-from runtime import messages as m
-from runtime.bus import Bus
-from runtime.cli.client import Client
 from runtime.cli.main import DONE, NOT_RUNNING, USAGE, _entries, _load, main
-from runtime.hubs import Hub
 
 
 @pytest.fixture(autouse=True)
@@ -98,15 +93,3 @@ def test_topic_list_is_the_table(capsys: pytest.CaptureFixture[str]) -> None:
 def test_doctor_finds_this_host_sound(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor"]) == DONE
     assert "core" in capsys.readouterr().out
-
-
-def test_what_comes_together_is_gathered_together() -> None:
-    """Late subscribers get fifty events at once: none is lost behind the first."""
-    fifty = [m.Event(process="world", level="info", kind=f"k{n}", text="") for n in range(50)]
-
-    class Box:
-        def wait(self, timeout_s: float) -> list[m.Message]:
-            return fifty
-
-    client = Client(Hub(robot="elbow", pid=0, endpoint=""), cast(Bus, Box()))
-    assert client.gather(lambda _: True, 1.0) == fifty
