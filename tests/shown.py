@@ -124,7 +124,11 @@ def check(command: Shown) -> None:
     elif program == "python" and words[:2] == ["-m", "experiments"]:
         experiments_parsers()[0].parse_args(words[2:])
     elif program == "python":
-        assert words[0] == "-m" and importlib.util.find_spec(words[1]), f"{command}: no such module"
+        spec = importlib.util.find_spec(words[1]) if words[0] == "-m" else None
+        assert spec is not None and spec.origin is not None, f"{command}: no such module"
+        source = Path(spec.origin).read_text(encoding="utf-8")
+        unknown = [word for word in words if word.startswith("--") and f'"{word}"' not in source]
+        assert unknown == [], f"{command}: no such options"
     elif program == "make":
         makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
         assert re.search(rf"^{words[0]}:", makefile, re.MULTILINE), f"{command}: no such target"
