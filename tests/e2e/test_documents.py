@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +19,14 @@ from tests.shown import DOCUMENTS, TUTORIAL, Shown, shown
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]
 
 SPEED = "3"
-GROWTH = "[growth]\nn_new = 3\nn_check = 1\n"
+HASTE = """
+[growth]
+n_new = 3
+n_check = 1
+[control]
+joint_speed_deg_s = 120.0
+settle_s = 0.3
+"""
 FOLLOWS = {  # what comes of a command -> events of which one says that it is over
     "plug": ("grow_done", "refit_done"),
     "unplug": ("lost",),
@@ -27,30 +35,31 @@ FOLLOWS = {  # what comes of a command -> events of which one says that it is ov
     "estop": ("stopped",),
 }
 PATIENCE_S = 40.0
-AT_REST = ("hold", "stopped")
 
 
 @contextmanager
 def running(folder: Path) -> Iterator[tuple[Command, Watch]]:
-    """`myograft up elbow`, with a shorter task and fewer motions, and someone who watches."""
-    file = Path(elbow(folder, "elbow", steps=3).file)
-    file.write_text(file.read_text() + GROWTH)
+    """`myograft up elbow` in haste, with fewer and faster motions, and someone who watches."""
+    file = Path(elbow(folder, "elbow", steps=2).file)
+    file.write_text(file.read_text() + HASTE)
     up = Command("up", str(file), "--speed", SPEED)
     try:
         up.wait_line("ready after")
         with Bus("elbow", "test", endpoint=find_hub().endpoint) as bus, Watch(bus) as watch:
-            rest(watch, 0)
+            rest(watch, "hold")
             yield up, watch
     finally:
         up.end()
 
 
-def rest(watch: Watch, since: int) -> None:
+def rest(watch: Watch, stage: str) -> None:
+    """Wait until the arm has come to rest in that stage."""
     watch.wait_for(
         m.ExecutiveState,
-        lambda x: x.stage in AT_REST and (x.settled or x.stage == "stopped"),
-        since=since,
+        lambda x: x.stage == stage and (x.settled or stage == "stopped"),
+        since=watch.mark(),
         timeout_s=PATIENCE_S,
+        what=f"the arm in stage {stage}",
     )
 
 
@@ -68,7 +77,7 @@ def carry_out(command: Shown, watch: Watch) -> None:
         watch.wait_for(
             m.Event, lambda x: x.kind in kinds, since=since, timeout_s=PATIENCE_S, what=str(command)
         )
-    rest(watch, watch.mark())
+    rest(watch, "stopped" if words[0] == "estop" else "hold")
 
 
 def test_the_tutorial_and_all_others_do_what_they_show(tmp_path: Path) -> None:
@@ -81,7 +90,9 @@ def test_the_tutorial_and_all_others_do_what_they_show(tmp_path: Path) -> None:
     assert last.ours == "down"
     with running(tmp_path) as (up, watch):
         for command in (*story, *others):
+            started_s = time.monotonic()
             carry_out(command, watch)
+            print(f"{time.monotonic() - started_s:5.1f} s  {command}")
         adopted = [version.method for version in watch.of(m.SchemaVersion)]
         assert list(dict.fromkeys(adopted)) == ["shipped", "iv", "shrink", "refit"]
         assert main(list(last.words[1:])) == DONE
