@@ -17,6 +17,7 @@ import msgspec
 from docs.markdown import code, page, table, toml
 from docs.source import Class, Field, classes
 from experiments import __main__ as experiments
+from hardware_sim import terminals
 from runtime import envelope, messages, settings, topics
 from runtime.cli import main as cli
 from runtime.messages import Message
@@ -270,8 +271,9 @@ def _plain(words: str) -> str:
 def parsers() -> dict[str, argparse.ArgumentParser]:
     """`myograft up`, `python -m experiments elbow`, ... -> what reads its words."""
     ours = {f"myograft {name}": parser for name, parser in cli.parsers().items()}
-    _, theirs = experiments.parsers()
-    return ours | {f"python -m experiments {name}": parser for name, parser in theirs.items()}
+    _, rigs = experiments.parsers()
+    theirs = {f"python -m experiments {name}": parser for name, parser in rigs.items()}
+    return ours | theirs | {"python -m hardware_sim.terminals": terminals.parser()}
 
 
 def _commands() -> Iterator[str]:

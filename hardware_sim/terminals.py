@@ -23,11 +23,13 @@ PACE_S = 0.001
 LAG_NS = 50_000_000  # behind by more than this, the lost time is not made up for
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument("robot", help="robot or robot file")
-    parser.add_argument("--folder", type=Path, required=True, help="put a link for each chain here")
-    parser.add_argument("--seed", type=int, default=0, help="of everything random")
+def parser() -> argparse.ArgumentParser:
+    """What reads the words."""
+    made = argparse.ArgumentParser(prog="python -m hardware_sim.terminals", description=__doc__)
+    made.add_argument("robot", help="robot or robot file")
+    made.add_argument("--folder", type=Path, required=True, help="put a link for each chain here")
+    made.add_argument("--seed", type=int, default=0, help="of everything random")
+    return made
 
 
 @contextmanager
@@ -72,9 +74,7 @@ def serve(settings: RobotSettings, folder: Path, seed: int) -> NoReturn:
 
 def main(argv: list[str] | None = None) -> int:
     """Run until Ctrl-C."""
-    parser = argparse.ArgumentParser(prog="python -m hardware_sim.terminals", description=__doc__)
-    configure(parser)
-    args = parser.parse_args(argv)
+    args = parser().parse_args(argv)
     try:
         settings = load_robot(args.robot)
         for number in (signal.SIGINT, signal.SIGTERM):  # ignored by what a shell starts behind

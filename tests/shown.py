@@ -13,9 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from docs.reference import ROOT
-from experiments.__main__ import parsers as experiments_parsers
-from runtime.cli.main import parsers
+from docs.reference import ROOT, parsers
 
 TUTORIAL = ROOT / "docs" / "tutorial.md"
 HOWTOS = sorted((ROOT / "docs" / "howto").glob("*.md"))
@@ -51,7 +49,7 @@ class Shown(NamedTuple):
         """It asks a robot that runs, as it has `--robot`, and is not run elsewhere."""
         if not self.ours or self.ours in RUN_ELSEWHERE or self.words[1:3] == ("topic", "list"):
             return False
-        parser = command_parsers()[self.ours]
+        parser = command_parsers()[f"myograft {self.ours}"]
         return "--robot" in {word for action in parser._actions for word in action.option_strings}
 
     def __str__(self) -> str:
@@ -105,7 +103,7 @@ def shown() -> tuple[Shown, ...]:
 
 @cache
 def command_parsers() -> dict[str, argparse.ArgumentParser]:
-    """The real parsers of `myograft`'s commands."""
+    """The real parsers: `myograft plug`, `python -m experiments elbow`, ..."""
     return parsers()
 
 
@@ -116,14 +114,20 @@ def check(command: Shown) -> None:
         SystemExit: it does not understand them.
         AssertionError: there is no such program, target or file.
     """
+    for length in (4, 3, 2):
+        if parser := command_parsers().get(" ".join(command.words[:length])):
+            parser.parse_args(command.words[length:])
+            break
+    else:
+        _check_foreign(command)
+    for word in command.words:
+        if re.match(r"(deploy|docs|tests)/", word) and not word.endswith("_serial.toml"):
+            assert (ROOT / word).exists(), f"{command}: there is no {word}"
+
+
+def _check_foreign(command: Shown) -> None:
     program, *words = command.words
-    if program == "myograft":
-        if not words[0].startswith("-"):
-            assert words[0] in command_parsers(), f"{command}: no such command"
-            command_parsers()[words[0]].parse_args(words[1:])
-    elif program == "python" and words[:2] == ["-m", "experiments"]:
-        experiments_parsers()[0].parse_args(words[2:])
-    elif program == "python":
+    if program == "python":
         spec = importlib.util.find_spec(words[1]) if words[0] == "-m" else None
         assert spec is not None and spec.origin is not None, f"{command}: no such module"
         source = Path(spec.origin).read_text(encoding="utf-8")
@@ -134,6 +138,3 @@ def check(command: Shown) -> None:
         assert re.search(rf"^{words[0]}:", makefile, re.MULTILINE), f"{command}: no such target"
     else:
         assert program in FOREIGN, f"{command}: what is {program}?"
-    for word in words:
-        if re.match(r"(deploy|docs|tests)/", word) and not word.endswith("_serial.toml"):
-            assert (ROOT / word).exists(), f"{command}: there is no {word}"
