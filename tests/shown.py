@@ -94,7 +94,7 @@ def shown() -> tuple[Shown, ...]:
                     if not words or words[0].endswith((".toml", ".xml")):  # a file written to
                         continue
                     if words[:2] == ["myograft", "up"]:
-                        robot = words[2]
+                        robot = next(iter(words[2:]), "elbow")
                     elsewhere = "another host" if "ENDPOINT=" in part else robot
                     endless = "Ctrl-C" in comment
                     found.append(Shown(document, number, tuple(words), endless, elsewhere))

@@ -14,7 +14,7 @@ from runtime.bus import Bus
 from runtime.cli.main import DONE, main
 from runtime.hubs import find_hub, living_hubs
 from tests.e2e.conftest import Command, Watch, elbow
-from tests.shown import DOCUMENTS, TUTORIAL, Shown, shown
+from tests.shown import TUTORIAL, Shown, shown
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]
 
@@ -27,10 +27,11 @@ n_check = 1
 joint_speed_deg_s = 120.0
 settle_s = 0.3
 """
-FOLLOWS = {  # what comes of a command -> events of which one says that it is over
+FOLLOWS = {  # how a command begins -> events of which one says that it is over
     "plug": ("grow_done", "refit_done"),
     "unplug": ("lost",),
-    "fault": ("shrink_done",),
+    "fault rupture": ("shrink_done",),
+    "schema relearn": ("grow_done",),
     "task": ("task_done",),
     "estop": ("stopped",),
 }
@@ -73,7 +74,8 @@ def carry_out(command: Shown, watch: Watch) -> None:
         assert process.end() in (DONE, 130), str(command)
         return
     assert main(list(words)) == DONE, str(command)
-    if kinds := FOLLOWS.get(words[0]):
+    kinds = next((k for begin, k in FOLLOWS.items() if " ".join(words).startswith(begin)), ())
+    if kinds:
         watch.wait_for(
             m.Event, lambda x: x.kind in kinds, since=since, timeout_s=PATIENCE_S, what=str(command)
         )
@@ -82,7 +84,6 @@ def carry_out(command: Shown, watch: Watch) -> None:
 
 def test_the_tutorial_and_all_others_do_what_they_show(tmp_path: Path) -> None:
     live = [command for command in shown() if command.on_robot and command.robot == "elbow"]
-    assert {command.document for command in live} <= set(DOCUMENTS)
     first = [command for command in live if command.document == TUTORIAL]
     done = {command.words for command in first}
     others = {x.words: x for x in live if x.words not in done}.values()
