@@ -177,5 +177,7 @@ def _unknown(word: str, names: list[str]) -> str:
     return f"myograft: no command {word!r}.{hint} `myograft --help` lists them."
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+if __name__ == "__main__":  # by its own name: commands raise the UsageError of that module
+    from runtime.cli.main import main as main_by_name
+
+    sys.exit(main_by_name())
