@@ -75,6 +75,16 @@ def test_the_message_travels() -> None:
     assert row.key.format(chain="arm") == "chain/arm/fatigue"
 
 
+def test_the_request_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr("runtime.cli.client.request", lambda *words: asked.append(words) or 0)
+    *_, text = (text for _, text in code("message"))
+    space: dict[str, Any] = {}
+    exec(text, space)
+    assert asked == [("elbow", messages.Reset())]
+    assert space["exit_code"] == 0
+
+
 def test_the_table_of_keeps_is_whole() -> None:
     page = BY_NAME["message"].read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `([A-Z]+)` \|", page, re.MULTILINE)) == set(topics.Keep.__members__)
