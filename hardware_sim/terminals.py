@@ -41,7 +41,8 @@ def terminals(robot: SimulatedRobot, folder: Path) -> Iterator[list[PtyChain]]:
         for name, chain in robot.chains.items():
             terminal = stack.enter_context(PtyChain(chain, lambda: robot.now_ns))
             link = folder / name
-            link.unlink(missing_ok=True)
+            if link.is_symlink():  # of a run that was killed
+                link.unlink()
             link.symlink_to(terminal.path)
             stack.callback(link.unlink, missing_ok=True)
             opened.append(terminal)
@@ -54,11 +55,12 @@ def keep_pace(robot: SimulatedRobot, opened: list[PtyChain]) -> NoReturn:
     while True:
         behind_ns = time.monotonic_ns() - start_ns - robot.now_ns
         if behind_ns > LAG_NS:
-            start_ns += behind_ns
+            start_ns += behind_ns - LAG_NS
+            behind_ns = LAG_NS
         with ExitStack() as stack:
             for terminal in opened:
                 stack.enter_context(terminal.lock)
-            for _ in range(min(behind_ns, LAG_NS) // STEP_NS):
+            for _ in range(behind_ns // STEP_NS):
                 robot.step()
         time.sleep(PACE_S)
 
@@ -76,10 +78,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run until Ctrl-C."""
     args = parser().parse_args(argv)
     try:
-        settings = load_robot(args.robot)
-        for number in (signal.SIGINT, signal.SIGTERM):  # ignored by what a shell starts behind
-            signal.signal(number, signal.default_int_handler)
-        serve(settings, args.folder, args.seed)
+        serve(load_robot(args.robot), args.folder, args.seed)
     except (SettingsError, OSError) as error:
         print(f"python -m hardware_sim.terminals: {error}", file=sys.stderr)
         return 2
@@ -88,4 +87,6 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    for number in (signal.SIGINT, signal.SIGTERM):  # ignored by what a shell starts in the back
+        signal.signal(number, signal.default_int_handler)
     sys.exit(main())

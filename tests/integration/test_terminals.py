@@ -24,6 +24,8 @@ def ask(link: SerialLink, packet: wire.InstructionPacket, sequence: int) -> byte
 
 def test_a_chain_is_opened_like_a_serial_port_and_its_robot_lives(tmp_path: Path) -> None:
     folder = tmp_path / "chains"
+    folder.mkdir()
+    (folder / "arm").symlink_to("/dev/pts/of_a_run_that_was_killed")
     with subprocess.Popen(
         [sys.executable, "-m", "hardware_sim.terminals", "elbow", "--folder", str(folder)],
         stdout=subprocess.PIPE,
@@ -50,6 +52,15 @@ def test_a_chain_is_opened_like_a_serial_port_and_its_robot_lives(tmp_path: Path
         robot.send_signal(signal.SIGINT)
         assert robot.wait(10) == 0
     assert list(folder.iterdir()) == []
+
+
+def test_a_file_in_the_way_is_left_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "arm").write_text("mine")
+    assert main(["elbow", "--folder", str(tmp_path)]) == 2
+    assert "File exists" in capsys.readouterr().err
+    assert (tmp_path / "arm").read_text() == "mine"
 
 
 def test_a_robot_that_is_not_there_is_told_in_a_sentence(
