@@ -6,7 +6,7 @@ PACKAGES := runtime services hardware_sim dashboard experiments
 STAMP := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check format bench pictures experiments clean
+.PHONY: help setup demo test check format bench docs pictures experiments clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -43,11 +43,13 @@ format: setup  ## put the code into shape
 bench: setup  ## measure the budgets
 	$(BIN)/pytest --quiet --capture=no tests/bench
 
-pictures: setup  ## the documents' pictures and tables, made anew
+docs: setup  ## the reference, made from the code
+	$(BIN)/python -m docs.reference
+
+pictures: docs  ## the documents' pictures and tables, made anew
 	mkdir -p docs/pictures
 	$(BIN)/myograft demo --picture docs/pictures/demo.png
 	$(BIN)/myograft view elbow --picture docs/pictures/view.png --at 63
-	$(BIN)/python -m docs.topic_table
 	$(BIN)/python -m docs.results
 
 experiments: setup  ## repeat the experiments; hours, and it goes on where it stopped

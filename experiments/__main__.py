@@ -24,14 +24,19 @@ EXPERIMENTS = {
 }
 
 
-def main() -> int:
-    """Run one experiment."""
+def parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+    """What reads the words, and of these each experiment's own part by its name."""
     parser = argparse.ArgumentParser(prog="python -m experiments", description=__doc__)
     commands = parser.add_subparsers(dest="experiment", required=True, metavar="NAME")
     for name, text in EXPERIMENTS.items():
         module = importlib.import_module(f"experiments.{name}")
         module.configure(commands.add_parser(name, help=text, description=module.__doc__))
-    args = parser.parse_args()
+    return parser, dict(commands.choices)
+
+
+def main() -> int:
+    """Run one experiment."""
+    args = parsers()[0].parse_args()
     module = importlib.import_module(f"experiments.{args.experiment}")
     try:
         return int(module.run(args))

@@ -11,6 +11,7 @@ from experiments.session import HEARD, SessionError
 from runtime import messages as m
 from runtime.bus import Bus, Question
 from runtime.hubs import living_hubs, new_run_dir
+from runtime.manifest import simulated
 from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings
 from runtime.supervisor import Group
@@ -25,7 +26,7 @@ class LiveSession:
     """Talks to a running group through the bus.
 
     Attributes:
-        now_ns: robot time as the world last told it.
+        now_ns: robot time as the world last told it; where no world runs, as the host tells it.
     """
 
     def __init__(
@@ -35,6 +36,7 @@ class LiveSession:
         self.watchers: list[Callable[[Message], None]] = []
         self.now_ns = 0
         self._bus = bus
+        self._real = not simulated(settings)
         self._speed = speed
         self._say = say
         self._in_time_s: float | None = time.monotonic()  # None: it has been said
@@ -50,11 +52,15 @@ class LiveSession:
 
     def wait(self, done: Callable[[Message], bool], limit_s: float, what: str) -> Message:
         """As `Session.wait`, however slow the machine is, as long as robot time goes on."""
+        if self._real:
+            self.now_ns = time.monotonic_ns()
         limit_ns = self.now_ns + round(limit_s * 1e9)
         reached_ns, reached_s = self.now_ns, time.monotonic()
         found: Message | None = None
         while found is None:
             time.sleep(PACE_S)
+            if self._real:
+                self.now_ns = time.monotonic_ns()
             for item in self._bus.wait(0.0):
                 if isinstance(item, Question):
                     continue

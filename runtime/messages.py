@@ -15,15 +15,15 @@ METHODS = ("i", "ii", "iii", "iv")  # of relearning: the paper's three, and by w
 class Message(msgspec.Struct, frozen=True, kw_only=True):
     """Anything that travels on the bus."""
 
-    stamp_ns: int = 0
+    stamp_ns: int = 0  # robot time; of readings, when they were asked for
 
 
 class Reply(msgspec.Struct, frozen=True, kw_only=True):
     """What a request is answered with: whether it was done, and in words what really happened."""
 
-    ok: bool
-    text: str = ""
-    data: dict[str, str] = {}
+    ok: bool  # it was done
+    text: str = ""  # in words, for a person
+    data: dict[str, str] = {}  # for scripts; `process` is who answered
 
 
 # ── time and processes ────────────────────────────────────────────────────────────────────────
@@ -47,11 +47,11 @@ class Presence(Message, frozen=True, kw_only=True):
 class Health(Message, frozen=True, kw_only=True):
     """How one process does, once a second of wall time."""
 
-    process: str
+    process: str  # `estimator`, `driver-arm`, ...
     pid: int
     tick_hz: float  # ticks per robot second
     cpu_percent: float  # of one core
-    memory_mb: float
+    memory_mb: float  # resident
     dropped: int  # messages that were malformed, foreign, newer or stale, since start
     rates_hz: dict[str, float] = {}  # message type -> received per robot second
 
@@ -63,21 +63,21 @@ class ProcessRow(msgspec.Struct, frozen=True, kw_only=True):
     state: str  # starting | ready | backoff | failed | stopped
     pid: int = 0
     restarts: int = 0
-    last_exit: str = ""
+    last_exit: str = ""  # how it ended when it last did
 
 
 class GroupState(Message, frozen=True, kw_only=True):
     """The supervisor's table of its processes."""
 
-    ready: bool
-    run_dir: str
+    ready: bool  # all processes are
+    run_dir: str  # logs and recordings, on the robot's host
     processes: tuple[ProcessRow, ...]
 
 
 class Event(Message, frozen=True, kw_only=True):
     """Something that happened once and that a person wants to read."""
 
-    process: str
+    process: str  # who tells it
     level: str  # info | warning | error
     kind: str  # a stable word for scripts: plugged, joined, adopted, process_died, ...
     text: str
@@ -103,7 +103,7 @@ class BusRequest(Message, frozen=True, kw_only=True):
     """Bytes that a chain's master put on the simulated line."""
 
     chain: str
-    sequence: int
+    sequence: int  # the reply has the same
     data: bytes
 
 
@@ -111,8 +111,8 @@ class BusReply(Message, frozen=True, kw_only=True):
     """Bytes that a chain's modules put on the simulated line."""
 
     chain: str
-    sequence: int
-    data: bytes
+    sequence: int  # the request's
+    data: bytes  # empty: nobody answered
 
 
 class ModuleInfo(msgspec.Struct, frozen=True, kw_only=True):
@@ -120,12 +120,12 @@ class ModuleInfo(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str  # muscle or joint; "" until the module has been given one
     kind: str  # muscle | joint
-    module_id: int
-    serial: int
+    module_id: int  # address on the line
+    serial: int  # unique, for ever
     state: str  # joining | up | lost | fault | stopped
     fault: str = ""  # in words, when state is fault
     tension_limit_n: float = 0.0
-    link_errors: int = 0
+    link_errors: int = 0  # answers that were missing or garbled
 
 
 class ChainBody(Message, frozen=True, kw_only=True):
@@ -141,8 +141,8 @@ class ChainState(Message, frozen=True, kw_only=True):
     chain: str
     muscles: tuple[str, ...]
     length_m: tuple[float, ...]  # wire paid out, from the module's length zero
-    tension_n: tuple[float, ...]
-    temperature_degc: tuple[float, ...]
+    tension_n: tuple[float, ...]  # at the load cell
+    temperature_degc: tuple[float, ...]  # of the motor's winding
     target_length_m: tuple[float, ...]  # what the modules were last told
     mode: str  # follow | hold | stopping | stopped
 
@@ -159,12 +159,12 @@ class ChainCommand(Message, frozen=True, kw_only=True):
     """What one chain's muscles shall do: f_ref = f_bias + k_stiff (l - l_ref), paper eq. 1."""
 
     chain: str
-    author: str
+    author: str  # drivers obey the executive alone
     lease_ns: int  # robot time for which this stands; afterwards the driver holds
     muscles: tuple[str, ...]
-    bias_n: tuple[float, ...]
-    stiffness_n_m: tuple[float, ...]
-    target_length_m: tuple[float, ...]
+    bias_n: tuple[float, ...]  # f_bias
+    stiffness_n_m: tuple[float, ...]  # k_stiff
+    target_length_m: tuple[float, ...]  # l_ref
 
 
 class HandCommand(Message, frozen=True, kw_only=True):
@@ -190,7 +190,7 @@ class JointEstimate(Message, frozen=True, kw_only=True):
 
     joints: tuple[str, ...]
     angle_rad: tuple[float, ...]
-    confidence_rad: tuple[float, ...]
+    confidence_rad: tuple[float, ...]  # standard deviation
     muscles: tuple[str, ...]
     predicted_length_m: tuple[float, ...]
     predicted_tension_n: tuple[float, ...]
@@ -230,9 +230,9 @@ class SchemaVersion(Message, frozen=True, kw_only=True):
     version: int
     joints: tuple[str, ...]
     muscles: tuple[str, ...]
-    method: str  # shipped | i | ii | iii | shrink | refit
+    method: str  # shipped | i | ii | iii | iv | shrink | refit
     job: str = ""  # the training job that made it
-    parent: int = 0
+    parent: int = 0  # the version it was made from
     residual_mm: dict[str, float] = {}  # muscle -> length residual on held-out motion
     data: bytes  # safetensors
 
@@ -260,23 +260,23 @@ class SchemaCandidate(SchemaVersion, frozen=True, kw_only=True):
 class SchemaVerdict(Message, frozen=True, kw_only=True):
     """The executive's word on a candidate, after held-out motion."""
 
-    job: str
+    job: str  # the candidate's
     adopted: bool
     reason: str
-    residual_mm: dict[str, float] = {}
+    residual_mm: dict[str, float] = {}  # muscle -> length residual on held-out motion
 
 
 class TrainingJob(Message, frozen=True, kw_only=True):
     """What the retrainer is asked to do. Stands until a candidate or a failure names it."""
 
-    job: str
+    job: str  # its name
     kind: str  # grow | shrink | refit
-    base_version: int
+    base_version: int  # the schema that it starts from
     joints: tuple[str, ...]
     muscles: tuple[str, ...]  # of the schema that is wanted, in the order of the motions' columns
-    method: str = "iv"
-    seed: int = 0
-    motions: tuple[Motion, ...] = ()
+    method: str = "iv"  # of relearning: i | ii | iii | iv
+    seed: int = 0  # of everything random
+    motions: tuple[Motion, ...] = ()  # that were collected
     paths: dict[str, MusclePath] = {}  # how added wires nominally run, as far as anybody said
 
 
@@ -288,10 +288,10 @@ class TrainingProgress(Message, frozen=True, kw_only=True):
     method: str = ""  # of relearning; of another kind of job its kind
     epoch: int = 0
     epochs: int = 0
-    loss: float = 0.0
-    loss_new: float = 0.0
-    loss_old: float = 0.0
-    text: str = ""
+    loss: float = 0.0  # of all
+    loss_new: float = 0.0  # on the new motions
+    loss_old: float = 0.0  # on what the old schema says
+    text: str = ""  # why, when it failed
 
 
 # ── executive ─────────────────────────────────────────────────────────────────────────────────
@@ -301,17 +301,17 @@ class ExecutiveState(Message, frozen=True, kw_only=True):
     """What the executive is doing and what it wants of the joints."""
 
     stage: str  # waiting|hold|move|join|collect|relearn|adopt|resume|park|stopped
-    task: str = ""
+    task: str = ""  # of the robot file, while one runs
     step: int = 0  # of the task or of the collection, counted from 1
     steps: int = 0
     settled: bool = False  # the arm has come to rest at the step's target
     joints: tuple[str, ...] = ()
-    reference_rad: tuple[float, ...] = ()
+    reference_rad: tuple[float, ...] = ()  # where the joints shall be now
     muscles: tuple[str, ...] = ()
-    planned_tension_n: tuple[float, ...] = ()
+    planned_tension_n: tuple[float, ...] = ()  # of the muscles, at that reference
     growing: str = ""  # the muscle being taken in
-    schema_version: int = 0
-    text: str = ""
+    schema_version: int = 0  # in use; 0: none
+    text: str = ""  # what it waits for, or why
 
 
 # ── requests ──────────────────────────────────────────────────────────────────────────────────
@@ -321,7 +321,7 @@ class Plug(Message, frozen=True, kw_only=True):
     """Extend a chain at its tail by one muscle module."""
 
     muscle: str
-    chain: str = ""
+    chain: str = ""  # "": the spare's, or the only one
     path: MusclePath | None = None  # None: the spare of that name in the robot file
     module_id: int = 1  # 1 as it comes from the factory
 
@@ -335,7 +335,7 @@ class Unplug(Message, frozen=True, kw_only=True):
 class Reach(Message, frozen=True, kw_only=True):
     """Move the joints to a posture and hold it."""
 
-    angle_rad: dict[str, float]
+    angle_rad: dict[str, float]  # joint -> angle; joints that are not named stay
 
 
 class Task(Message, frozen=True, kw_only=True):
@@ -347,7 +347,7 @@ class Task(Message, frozen=True, kw_only=True):
 class Estop(Message, frozen=True, kw_only=True):
     """Pay out every wire at bounded speed and latch."""
 
-    reason: str = ""
+    reason: str = ""  # for the log
 
 
 class Reset(Message, frozen=True, kw_only=True):
@@ -357,15 +357,15 @@ class Reset(Message, frozen=True, kw_only=True):
 class Relearn(Message, frozen=True, kw_only=True):
     """Collect motions again and relearn the schema."""
 
-    method: str = "iv"
-    n_new: int = 7
+    method: str = "iv"  # i | ii | iii | iv
+    n_new: int = 7  # motions to collect
 
 
 class SchemaRequest(Message, frozen=True, kw_only=True):
     """Ask the retrainer about its versions: `list`, or `rollback` to a version."""
 
-    action: str
-    version: int = 0
+    action: str  # list | rollback
+    version: int = 0  # to go back to
 
 
 class Identify(Message, frozen=True, kw_only=True):

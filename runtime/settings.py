@@ -24,28 +24,32 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class Robot(_Table, frozen=True, kw_only=True):
     """`[robot]`: name, and where body and schema are, seen from the robot file."""
 
-    name: str
-    body: str
+    name: str  # first part of all keys: letters, digits, _ and -
+    body: str  # MJCF file
     schema: str = ""  # the shipped schema; without one the robot has to learn it first
 
 
 class Chain(_Table, frozen=True, kw_only=True):
     """`[[chain]]`: one half-duplex line with one master."""
 
-    name: str
-    link: str = "sim:"  # or serial:///dev/ttyUSB0
-    baud: int = 3_000_000
-    rate_hz: float = 200.0
-    max_modules: int = 16
-    watchdog_ms: int = 100  # robot time of master's silence after which modules hold
+    name: str  # a part of keys: letters, digits, _ and -
+    link: str = (
+        "sim:"  # `sim:` is simulated; serial:///dev/ttyUSB0 or serial:///dev/ttyUSB0?baud=1000000
+    )
+    baud: int = 3_000_000  # one that modules speak; a link's own has the last word
+    rate_hz: float = 200.0  # goals written and readings read so often
+    max_modules: int = 16  # one more is left alone with its torque off
+    watchdog_ms: int = (
+        100  # robot time of master's silence after which modules hold; in steps of 20
+    )
 
 
 class Joint(_Table, frozen=True, kw_only=True):
     """`[[joint]]`: a joint of the body and the module that measures it."""
 
     name: str  # of the MJCF joint
-    chain: str
-    id: int
+    chain: str  # of its module
+    id: int  # 2 to 252, no other's on the chain
     rest_deg: float = 0.0  # where `park` goes
 
 
@@ -53,8 +57,8 @@ class Muscle(_Table, frozen=True, kw_only=True):
     """`[[muscle]]`: a muscle that is there from the start."""
 
     name: str  # of the MJCF tendon
-    chain: str
-    id: int
+    chain: str  # of its module
+    id: int  # 2 to 252, no other's on the chain; 1 is kept for fresh modules
     role: str = ""  # flexor, extensor, ...: which muscles sigma_f compares
 
 
@@ -62,18 +66,18 @@ class Spare(_Table, frozen=True, kw_only=True):
     """`[[spare]]`: a muscle that may be plugged in, with its nominal path."""
 
     name: str
-    chain: str
-    path: MusclePath
-    role: str = ""
+    chain: str  # where `plug` puts its module
+    path: MusclePath  # see below
+    role: str = ""  # as a muscle's
 
 
 class Module(_Table, frozen=True, kw_only=True):
     """`[module]`: limits and constants of the muscle modules, as their data sheet gives them."""
 
-    tension_limit_n: float = 150.0
-    winding_speed_m_s: float = 0.25
-    temperature_limit_degc: float = 80.0
-    spool_radius_m: float = 0.008
+    tension_limit_n: float = 150.0  # modules pay out from 0.88 of it
+    winding_speed_m_s: float = 0.25  # greatest; targets move at 0.8 of it
+    temperature_limit_degc: float = 80.0  # above it a module gives up tension
+    spool_radius_m: float = 0.008  # of the motor's spool
 
     @property
     def target_speed_m_s(self) -> float:
@@ -86,20 +90,20 @@ class Control(_Table, frozen=True, kw_only=True):
 
     tension_floor_n: float = 8.0  # planned tension of a muscle that has nothing to do
     tension_ceiling_n: float = 120.0  # planned tension stays below, the limit is the module's
-    stiffness_n_m: float = 20_000.0
-    joint_speed_deg_s: float = 60.0
-    settle_s: float = 0.6
+    stiffness_n_m: float = 20_000.0  # k_stiff that muscles are told
+    joint_speed_deg_s: float = 60.0  # of a joint on its way to a target
+    settle_s: float = 0.6  # how long the arm has to be at rest
     sharing: Literal["norm", "peak"] = "norm"  # least ||f||^2, or least greatest tension
 
 
 class Growth(_Table, frozen=True, kw_only=True):
     """`[growth]`: how a new muscle is taken in."""
 
-    n_new: int = 7
-    n_check: int = 2
-    method: str = "iv"
-    bias_min_n: float = 10.0
-    bias_max_n: float = 25.0
+    n_new: int = 7  # motions to learn a muscle from
+    n_check: int = 2  # motions more, to check it by
+    method: str = "iv"  # of relearning: i, ii or iii as in the paper, iv: by wires
+    bias_min_n: float = 10.0  # tension of the new muscle while it is learned, from ...
+    bias_max_n: float = 25.0  # ... to
     residual_limit_mm: float = 4.0  # on held-out motion; above it a candidate is refused
 
 
@@ -107,7 +111,7 @@ class Payload(_Table, frozen=True, kw_only=True):
     """`[[payload]]`: a thing that a hand takes hold of. Services count with it while it is held."""
 
     name: str  # of the MJCF body in the simulation
-    mass_kg: float
+    mass_kg: float  # its weight is counted in while it is held
     link: str  # MJCF body of the hand
     position_m: tuple[float, float, float]  # of its centre of mass in the link's frame, when held
 
@@ -116,7 +120,7 @@ class TaskPath(_Table, frozen=True, kw_only=True):
     """`[[task]]`: postures to go through, in order of the file's joints."""
 
     name: str
-    targets_deg: tuple[tuple[float, ...], ...]
+    targets_deg: tuple[tuple[float, ...], ...]  # one row a posture, one angle a joint
     payload: str = ""  # what is carried ...
     grasp_at: int = 0  # ... from this target on (the first is 1), once the arm has settled there
     release_at: int = 0  # ... to this one
@@ -138,12 +142,12 @@ class Simulation(_Table, frozen=True, kw_only=True):
     """`[simulation]`: truth and imperfection of the simulated robot."""
 
     assembly_error_m: float = 0.002  # every attachment is off by about this much
-    tension_noise_n: float = 0.2
-    length_noise_m: float = 2e-5
-    angle_noise_rad: float = 1e-3
+    tension_noise_n: float = 0.2  # standard deviation of a load cell's readings
+    length_noise_m: float = 2e-5  # of an encoder's
+    angle_noise_rad: float = 1e-3  # of a joint module's
     wire_friction: float = 0.2  # mu phi: friction is tension * sinh(mu phi)
     elastic_n_m: tuple[float, float, float] = (1000.0, 0.0, 7.5e7)  # f = a e + b e^2 + c e^3
-    ambient_degc: float = 25.0
+    ambient_degc: float = 25.0  # where all temperatures begin
     heating_degc_n2: float = 0.0075  # steady rise of a winding per squared tension
     # what nobody expects, for experiments; see experiments/variants.py
     moved_m: float = 0.0  # old insertions sit this far from where h_old learned them

@@ -35,14 +35,18 @@ class _Range(NamedTuple):
     high: float = math.inf
     low_too: bool = False  # the low end itself is allowed
 
+    @property
+    def words(self) -> str:
+        """What it may be: `above 0 and at most 1000`."""
+        words = f"{self.low:g} or more" if self.low_too else f"above {self.low:g}"
+        return words + ("" if self.high == math.inf else f" and at most {self.high:g}")
+
     def refusal(self, value: float) -> str:
         """Why the value is refused, or ""."""
         above = self.low <= value if self.low_too else self.low < value
         if above and value <= self.high and math.isfinite(value):
             return ""
-        words = f"{self.low:g} or more" if self.low_too else f"above {self.low:g}"
-        words += "" if self.high == math.inf else f" and at most {self.high:g}"
-        return f"{self.key} has to be {words}, found {value:g}"
+        return f"{self.key} has to be {self.words}, found {value:g}"
 
 
 def _register_max(name: str) -> float:

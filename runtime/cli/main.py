@@ -89,14 +89,23 @@ def main(argv: list[str] | None = None) -> int:
     return _run(entry.name, command, words[1:])
 
 
-def _run(name: str, command: Command, words: list[str]) -> int:
+def parsers() -> dict[str, argparse.ArgumentParser]:
+    """Every command's parser, by its name. Imports them all: for documents and their tests."""
+    return {name: _parser(name, _load(entry)) for name, entry in _entries().items()}
+
+
+def _parser(name: str, command: Command) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"myograft {name}",
         description=inspect.cleandoc(command.__doc__ or ""),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     command.configure(parser)
-    args = parser.parse_args(words)
+    return parser
+
+
+def _run(name: str, command: Command, words: list[str]) -> int:
+    args = _parser(name, command).parse_args(words)
     try:
         return command.run(args)
     except UsageError as error:
@@ -185,5 +194,7 @@ def _unknown(word: str, names: list[str]) -> str:
     return f"myograft: no command {word!r}.{hint} `myograft --help` lists them."
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+if __name__ == "__main__":  # by its own name: commands raise the UsageError of that module
+    from runtime.cli.main import main as main_by_name
+
+    sys.exit(main_by_name())

@@ -124,7 +124,10 @@ class Picture:
             return False
         ready = [row.process for row in self.group.processes if row.state == "ready"]
         healthy = all(process in self.health for process in ready)
-        return healthy and bool(self.states) and self.bodies.keys() == self.states.keys()
+        learned = self.schema is not None or not self.executive.schema_version
+        return (
+            healthy and learned and bool(self.states) and self.bodies.keys() == self.states.keys()
+        )
 
     def as_dict(self) -> dict[str, object]:
         """For `--json`."""

@@ -35,34 +35,34 @@ _BULK = Struct("<BHH")
 class Instruction(IntEnum):
     """What a packet asks for."""
 
-    PING = 0x01
-    READ = 0x02
-    WRITE = 0x03
-    REG_WRITE = 0x04
-    ACTION = 0x05
-    FACTORY_RESET = 0x06
-    REBOOT = 0x08
-    CLEAR = 0x10
+    PING = 0x01  # answered with model number and firmware version; to all: each in its turn
+    READ = 0x02  # registers that lie together
+    WRITE = 0x03  # registers that lie together, all or none
+    REG_WRITE = 0x04  # as WRITE, but at the next ACTION
+    ACTION = 0x05  # do what was registered
+    FACTORY_RESET = 0x06  # FF: all; 01: all but the id; 02: all but id and baud rate
+    REBOOT = 0x08  # RAM back to its defaults, latches and errors forgotten
+    CLEAR = 0x10  # on the X series: the count of turns; muscle and joint modules refuse it
     STATUS = 0x55  # an answer
-    SYNC_READ = 0x82
-    SYNC_WRITE = 0x83
-    FAST_SYNC_READ = 0x8A
-    BULK_READ = 0x92
-    BULK_WRITE = 0x93
-    FAST_BULK_READ = 0x9A
+    SYNC_READ = 0x82  # the same registers of many; each answers in its turn
+    SYNC_WRITE = 0x83  # the same registers of many, each its own values; nobody answers
+    FAST_SYNC_READ = 0x8A  # as SYNC_READ, in one answer to which each adds its part
+    BULK_READ = 0x92  # of many, each its own registers
+    BULK_WRITE = 0x93  # to many, each its own registers; nobody answers
+    FAST_BULK_READ = 0x9A  # as BULK_READ, in one answer
 
 
 class StatusError(IntEnum):
     """Low seven bits of a status packet's error byte."""
 
-    NONE = 0
-    RESULT_FAIL = 1
-    INSTRUCTION = 2
-    CRC = 3
-    DATA_RANGE = 4
-    DATA_LENGTH = 5
-    DATA_LIMIT = 6
-    ACCESS = 7
+    NONE = 0  # done
+    RESULT_FAIL = 1  # nothing was registered that could be done
+    INSTRUCTION = 2  # it does not know the instruction
+    CRC = 3  # on the X series; muscle and joint modules do not answer what is garbled
+    DATA_RANGE = 4  # goals while the bus watchdog is tripped; an option that there is not
+    DATA_LENGTH = 5  # not whole registers
+    DATA_LIMIT = 6  # a value that the register may not have
+    ACCESS = 7  # no such register, read only, or kept and torque is on
 
 
 _STATUS = int(Instruction.STATUS)  # asked for with every packet, and an enum's member takes 0.1 us

@@ -26,8 +26,8 @@ class Keep(Enum):
     """What becomes of a value when the module is switched off."""
 
     EEPROM = "eeprom"  # kept; writing is refused while torque is enabled
-    RAM = "ram"
-    READ_ONLY = "read only"
+    RAM = "ram"  # goes back to its default
+    READ_ONLY = "read only"  # writing is refused
 
 
 class Register(NamedTuple):
@@ -93,6 +93,39 @@ TABLE = (
     Register("status", 748, 1, _P, kinds=_M),
     Register("link_errors", 750, 2, _P),
 )
+
+MEANINGS = {
+    "model_number": "19761 (0x4D31): muscle module; 18993 (0x4A31): joint module",
+    "model_information": "0",
+    "firmware_version": "also in the answer to a ping",
+    "id": "address on the line; 1 as it comes from the factory",
+    "baud_rate": "index into the baud rates",
+    "return_delay": "pause before it answers",
+    "temperature_limit": "above it the module gives up tension",
+    "torque_enable": "0: the brake holds the wire; 1: goals are obeyed",
+    "led": "1: on",
+    "status_return_level": "0: answers pings alone; 1: reads, too; 2: everything",
+    "hardware_error": "bits, see below; not 0: every answer carries the alert bit",
+    "bus_watchdog": "silence of the master after which the wire is held; 0: off; -1: it tripped,"
+    " and goals are refused until 0 is written",
+    "present_position": "of a muscle module's motor, of a joint module's joint",
+    "present_temperature": "of the module",
+    "serial_number": "unique, for ever: by it a module is known again",
+    "tension_limit": "no reference above 0.88 of it, and from there the wire is paid out",
+    "winding_speed_limit": "greatest speed of winding and paying out",
+    "length_zero": "wire length at which present_length is 0",
+    "tension_tare": "reading of the load cell at which present_tension is 0",
+    "stop": "1: pay out at bounded speed until the wire is slack, latched; 0: clear it",
+    "bias_tension": "f_bias of f_ref = f_bias + k_stiff (l - l_ref)",
+    "stiffness": "k_stiff",
+    "target_length": "l_ref",
+    "present_angle": "of the joint",
+    "present_length": "wire paid out, from length_zero",
+    "present_tension": "of the wire at the load cell, from tension_tare",
+    "motor_temperature": "of the winding",
+    "status": "bits, see below",
+    "link_errors": "packets with a wrong checksum that it heard since power-on",
+}
 
 BY_NAME = {register.name: register for register in TABLE}
 _CODES = {1: "b", 2: "h", 4: "i", 8: "q"}

@@ -32,7 +32,7 @@ from runtime.messages import (
     Reply,
     TrainingProgress,
 )
-from runtime.settings import RobotSettings, load_robot
+from runtime.settings import ROBOTS, RobotSettings, load_robot
 from runtime.supervisor import Group
 
 HERE = "tests.integration.logics"
@@ -280,10 +280,8 @@ def test_who_wants_little_is_not_sent_much() -> None:
 
 def test_split_over_hosts_by_a_router() -> None:
     endpoint = free_endpoint()
-    config = zenoh.Config.from_json5(
-        f'{{mode: "router", listen: {{endpoints: ["{endpoint}"]}}, '
-        "scouting: {multicast: {enabled: false}}}"
-    )
+    config = zenoh.Config.from_file(ROBOTS.parent / "zenoh" / "router.json5")
+    config.insert_json5("listen/endpoints", f'["{endpoint}"]')
     robot = settings("split")
     with (
         zenoh.open(config),
