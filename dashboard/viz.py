@@ -22,12 +22,13 @@ from dashboard.plots import MANY
 from dashboard.sinks import RerunCanvas, segment_file
 from dashboard.stream import Stream
 from dashboard.viewer import free_port
-from runtime.messages import ChainState, JointEstimate, Message
+from runtime.messages import ChainState, JointEstimate, Message, TrainingProgress
 from runtime.process import Launch
 from runtime.settings import RobotSettings
 
 PACE_S = 0.033
-CURVES = (ChainState, JointEstimate)  # every sample of them is drawn, of other states the newest
+# Every sample of these is drawn, of other states the newest.
+CURVES = (ChainState, JointEstimate, TrainingProgress)
 MAX_EARLY = 4096  # arrivals before robot time is known
 
 
