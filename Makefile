@@ -58,7 +58,7 @@ experiments: setup  ## repeat the experiments; hours, and it goes on where it st
 		--json docs/results/elbow-variants.json
 	$(BIN)/python -m experiments arm --variants clean,model,all --n-new 5,10,15,17,20,30 \
 		--json docs/results/arm.json
-	$(BIN)/python -m experiments lift --json docs/results/lift.json
+	$(BIN)/python -m experiments lift --variants clean,model --json docs/results/lift.json
 	$(BIN)/python -m experiments ablate elbow --seeds 5 --json docs/results/ablate-elbow.json
 	$(BIN)/python -m experiments ablate arm --seeds 5 --variants model --json docs/results/ablate-arm.json
 

@@ -89,8 +89,8 @@ def configure(parser: argparse.ArgumentParser, choices: Choices) -> None:
         "--out",
         type=Path,
         metavar="FOLDER",
-        help=f"keep pieces, tables, pictures there (default experiments/{choices.experiment} in the "
-        "state folder)",
+        help=f"keep pieces, tables, pictures there (default experiments/{choices.experiment} "
+        "in the state folder)",
     )
     add(
         "--quick",
