@@ -6,7 +6,7 @@ never old; a deeper slot keeps every arrival in order, up to its depth.
 
 from __future__ import annotations
 
-import queue
+import contextlib
 import threading
 from collections import deque
 from typing import Generic, TypeVar
@@ -25,8 +25,11 @@ class Mailbox(Generic[T]):
         self._slots: dict[str, deque[tuple[int, T]]] = {}
         self._count = 0
         self._awake = False
-        # A SimpleQueue may be put to from a signal handler; a Condition may not.
-        self._bell: queue.SimpleQueue[None] = queue.SimpleQueue()
+        # Rings by being released, which is safe in a signal handler; a Condition is not. Nor is a
+        # SimpleQueue enough: up to Python 3.12 its `get(timeout)` waits for good when its thread is
+        # held up past the timeout before it sleeps, as a negative rest means no timeout to it.
+        self._bell = threading.Lock()
+        self._bell.acquire()
 
     def post(self, slot: str, item: T, *, depth: int = QUEUE_DEPTH, wake: bool = True) -> None:
         """Put in an arrival. `wake=False` leaves the reader asleep: it will see it next time."""
@@ -41,21 +44,16 @@ class Mailbox(Generic[T]):
             ring = wake and not self._awake
             self._awake = self._awake or wake
         if ring:
-            self._bell.put(None)
+            self.wake()
 
     def wake(self) -> None:
         """Let the reader go on with what there is. Safe in a signal handler."""
-        self._bell.put(None)
+        with contextlib.suppress(RuntimeError):  # it has rung, and nobody has heard it yet
+            self._bell.release()
 
     def wait(self, timeout_s: float) -> list[T]:
         """Everything that arrived, oldest first; empty when nothing did in time."""
-        try:
-            if timeout_s > 0:
-                self._bell.get(timeout=timeout_s)
-            else:
-                self._bell.get_nowait()
-        except queue.Empty:
-            pass
+        self._bell.acquire(timeout=max(0.0, timeout_s))
         with self._lock:
             self._awake = False
             taken = [entry for waiting in self._slots.values() for entry in waiting]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 import threading
+import time
 from pathlib import Path
 
 import msgspec
@@ -174,3 +176,28 @@ def test_mailbox_lets_its_reader_sleep_over_what_can_wait() -> None:
     box: Mailbox[int] = Mailbox()
     box.post("clock", 1, depth=1, wake=False)
     assert box.wait(0.0) == [1]  # it is there when somebody looks
+
+
+def test_mailbox_may_be_woken_before_anybody_waits_and_twice() -> None:
+    box: Mailbox[int] = Mailbox()
+    box.wake()
+    box.wake()
+    box.post("q", 1)
+    assert box.wait(10.0) == [1]
+    assert box.wait(0.0) == []
+
+
+def test_mailbox_lets_go_of_a_reader_that_was_held_up_past_its_time() -> None:
+    box: Mailbox[str] = Mailbox()
+    reader = threading.get_ident()
+    before = signal.signal(signal.SIGUSR1, lambda *_: time.sleep(0.15))  # past the reader's time
+    hold_up = threading.Timer(0.02, signal.pthread_kill, (reader, signal.SIGUSR1))
+    rescue = threading.Timer(10.0, box.post, ("q", "woken by the rescue"))
+    hold_up.start()
+    rescue.start()
+    try:
+        assert box.wait(0.1) == []
+    finally:
+        rescue.cancel()
+        hold_up.join()
+        signal.signal(signal.SIGUSR1, before)
