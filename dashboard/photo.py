@@ -46,7 +46,9 @@ def photograph(sources: Sequence[str], picture: Path, at_s: float | None = None)
                 if at_s is not None:
                     viewer.set_time(duration=at_s, play_state="paused")
                 picture.write_bytes(_still(viewer))
-        except (OSError, RuntimeError, ConnectionError) as error:
+        except ViewerError:
+            raise
+        except (OSError, RuntimeError) as error:
             raise ViewerError(
                 f"the viewer drew no picture: {error}. It needs a Vulkan driver, in Debian: "
                 f"apt-get install mesa-vulkan-drivers libvulkan1"

@@ -241,6 +241,11 @@ class Bus:
             else self._session.declare_subscriber(key, arrived)
         )
 
+    @property
+    def overflown(self) -> int:
+        """Messages that found their queue full, since start."""
+        return self._box.overflown
+
     def serve(self, *kinds: type[Message], chain: str = "*") -> None:
         """Answer requests of these types: they come out of `wait` as `Question`s.
 

@@ -16,7 +16,7 @@ from typing import NamedTuple, Self
 
 import msgspec
 from mcap.exceptions import McapError
-from mcap.records import Channel, Chunk, McapRecord, Metadata
+from mcap.records import Channel, Chunk, McapRecord, Metadata, Schema
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
@@ -123,12 +123,21 @@ class Journal:
 
     def _register(self, key: str, kind: type[Message]) -> int:
         if kind not in self._schemas:
-            self._schemas[kind] = self._writer.register_schema(
+            schema = self._writer.register_schema(
                 kind.__name__, "jsonschema", msgspec.json.encode(msgspec.json.schema(kind))
             )
-        return self._writer.register_channel(
+            self._schemas[kind] = schema
+            self._repeat(self._writer._Writer__schemas[schema])  # type: ignore[attr-defined]
+        channel = self._writer.register_channel(
             key, "msgpack", self._schemas[kind], {ENCODING: encoding_of(kind)}
         )
+        self._repeat(self._writer._Writer__channels[channel])  # type: ignore[attr-defined]
+        return channel
+
+    def _repeat(self, record: Schema | Channel) -> None:
+        """Outside of all chunks, too: the library tells it in one, whose damage costs the rest."""
+        record.write(self._writer._Writer__record_builder)  # type: ignore[attr-defined]
+        self._writer._Writer__flush()  # type: ignore[attr-defined]
 
 
 def read(path: Path, kinds: Collection[type[Message]] = ()) -> Iterator[Entry]:

@@ -168,7 +168,7 @@ class _Pulse:
                 tick_hz=0.0 if stood else self._ticks / robot_s,
                 cpu_percent=self._self.cpu_percent(),
                 memory_mb=self._self.memory_info().rss / 1e6,
-                dropped=self._bus.dropped,
+                dropped=self._bus.dropped + self._bus.overflown,
                 rates_hz={} if stood else {kind: n / robot_s for kind, n in fresh.items()},
             )
         )

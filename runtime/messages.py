@@ -52,7 +52,7 @@ class Health(Message, frozen=True, kw_only=True):
     tick_hz: float  # ticks per robot second
     cpu_percent: float  # of one core
     memory_mb: float  # resident
-    dropped: int  # messages that were malformed, foreign, newer or stale, since start
+    dropped: int  # messages that were malformed, foreign, newer, stale or too many, since start
     rates_hz: dict[str, float] = {}  # message type -> received per robot second
 
 

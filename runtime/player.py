@@ -114,8 +114,8 @@ class Player:
             self._told = True
             self._publish(self._paced(message))
             return
-        if isinstance(message, m.Event) and message.kind == "viewer":
-            return  # where a picture was served that is no more
+        if isinstance(message, m.Event) and message.kind in ("viewer", "page"):
+            return  # where a picture or a page was served that is no more
         # A real robot's recording tells no time but in its stamps.
         ticking = BY_TYPE[type(message)].rate_hz >= 100
         if ticking and not self._told and message.stamp_ns - self._clock_ns >= CLOCK_NS:

@@ -139,7 +139,7 @@ class _Tracer:
         if steps is None:
             return
         report = self._report
-        if steps.begin == 0 and report.steps:
+        if steps.begin < self._next:  # the process was started anew
             self._logic = self._make()
             self._next = 0
         begin_ns, end_ns = steps.tick_ns[0], steps.tick_ns[-1]

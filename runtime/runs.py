@@ -8,7 +8,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from runtime.envelope import encode
-from runtime.hubs import HubError, find_hub, state_home
+from runtime.hubs import HubError, find_hub, robot_home, state_home
 from runtime.journal import About, Entry, about, read
 from runtime.messages import Message
 from runtime.topics import BY_TYPE, Keep
@@ -35,9 +35,11 @@ def find_run(what: str = "", holding: str = "*") -> Path:
     path = Path(what)
     if what and path.exists():
         return path if path.is_dir() else path.parent
-    runs = sorted(state_home().glob(f"{what or '*'}/runs/*Z"), key=lambda run: run.name)
+    homes = [robot_home(what)] if what else state_home().glob("*")
+    runs = sorted((run for home in homes for run in home.glob("runs/*Z")), key=lambda run: run.name)
     with contextlib.suppress(HubError):
-        runs.append(Path(find_hub(what).run_dir))
+        if here := find_hub(what).run_dir:  # of one on another host nothing is here
+            runs.append(Path(here))
     for run in reversed(runs):
         if any(run.glob(holding)):
             return run
@@ -91,5 +93,10 @@ def about_all(files: list[Path]) -> About:
     full = [one for one in told if one.end_ns]
     if not full:
         raise RunError(f"{files[0]} holds no messages")
-    robot = full[0].robot or next(read(files[0])).key.partition("/")[0]
+    robot = full[0].robot
+    if not robot:
+        first = next(read_all(files), None)
+        if first is None:
+            raise RunError(f"{files[0]} holds no messages of myograft")
+        robot = first.key.partition("/")[0]
     return About(robot, full[0].robot_file, full[0].begin_ns, max(one.end_ns for one in full))

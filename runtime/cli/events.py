@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+from pathlib import Path
 
 import msgspec
 
@@ -11,7 +13,7 @@ from runtime.bus import BusError
 from runtime.cli.client import Client, add_robot_argument, connect
 from runtime.cli.completion import completed_by, robots
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED
-from runtime.hubs import HubError, find_hub, living_hubs
+from runtime.hubs import ENDPOINT_VARIABLE, HubError, find_hub, living_hubs
 from runtime.journal import JournalError
 from runtime.messages import Event
 from runtime.runs import RunError, read_all, recordings
@@ -46,8 +48,9 @@ class Events:
         """From the bus if the robot runs, else from the recording."""
         what = args.run or args.robot
         names = {hub.robot for hub in living_hubs()}
+        elsewhere = os.environ.get(ENDPOINT_VARIABLE) and not (what and Path(what).exists())
         try:
-            if what in names or (not what and names):
+            if what in names or (not what and names) or elsewhere:
                 with connect(what) as client:
                     return _live(client, args)
             if args.follow:

@@ -154,7 +154,11 @@ def _events(picture: Picture) -> Table:
     for event in sorted(picture.events, key=lambda event: event.stamp_ns):
         style = _LEVELS.get(event.level, "")
         table.add_row(
-            f"{event.stamp_ns * 1e-9:.1f}", event.kind, event.process, event.text, style=style
+            f"{event.stamp_ns * 1e-9:.1f}",
+            event.kind,
+            event.process,
+            Text(event.text),  # as it is: square brackets in a str are markup
+            style=style,
         )
     return table
 

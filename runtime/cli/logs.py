@@ -59,7 +59,8 @@ class Logs:
                 _show(line)
             while args.follow:
                 time.sleep(LOOK_S)
-                for line in sorted(line for log in logs.values() for line in log):
+                fresh = [line for log in logs.values() for line in log]
+                for line in sorted(fresh, key=lambda line: line.time):  # a traceback stays whole
                     _show(line)
                 newer = _newer(run, args.run)
                 if newer is not None:
@@ -119,7 +120,7 @@ def _open(run: Path, wanted: list[str], besides: dict[str, _Log] | None = None) 
 
 def _newer(run: Path, what: str) -> Path | None:
     """The run that has begun since, when a robot is followed."""
-    if Path(what).is_dir():
+    if what and Path(what).exists():  # one run; "" is no folder, though Path("") is
         return None
     # `latest` of the same robot, that nobody else's run be taken for its next
     latest = run.resolve().parent / "latest"

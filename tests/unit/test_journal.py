@@ -121,6 +121,9 @@ def test_a_damaged_chunk_costs_itself(tmp_path: Path) -> None:
         left = [entry.message for entry in read(path)]
         assert set(left) <= set(whole)
         about(path)
+    first = data.index(b"\x28\xb5\x2f\xfd") + 12  # in the first compressed chunk
+    path.write_bytes(data[:first] + bytes([data[first] ^ 0xFF]) + data[first + 1 :])
+    assert len(whole) - 10 <= len([*read(path)]) < len(whole)
     path.write_bytes(data[: len(data) // 3] + b"\xff" + data[len(data) // 3 + 1 :])
     left = [entry.message for entry in read(path)]
     assert len(whole) - 10 <= len(left) < len(whole)

@@ -166,6 +166,14 @@ def test_what_the_recording_lacks_is_counted() -> None:
     assert holed.silent == 0
     assert not holed.exact, "its sum lacks what it heard meanwhile"
 
+    twice = recorded(2)
+    starts = [
+        n for n, x in enumerate(twice) if isinstance(x.message, m.Steps) and not x.message.begin
+    ]
+    anew = check([entry for n, entry in enumerate(twice) if n != starts[1]])
+    assert anew.lost_steps > 0, "it was started anew, and the first of its steps are not on record"
+    assert anew.silent == 0
+
     nothing = check(without(entries, lambda x: isinstance(x, m.Steps)))
     assert not nothing.exact
     assert "not on record" in report_text(nothing)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 from msgspec.structs import replace
 
 from runtime.hubs import Claim, Hub, new_run_dir
@@ -83,6 +84,9 @@ def test_what_is_not_there_is_told(tmp_path: Path) -> None:
         recordings()
     with pytest.raises(RunError, match="no run of 'elbow'"):
         find_run("elbow")
+    for odd in (str(tmp_path / "nope"), "a**b"):
+        with pytest.raises(RunError, match="no run of"):
+            find_run(odd)
     with pytest.raises(RunError, match=r"messages\.mcap"):
         recordings("run/elbow.rrd")
     with pytest.raises(RunError, match="no messages were recorded"):
@@ -92,3 +96,15 @@ def test_what_is_not_there_is_told(tmp_path: Path) -> None:
         pass
     with pytest.raises(RunError, match="holds no messages"):
         about_all([empty])
+
+
+def test_a_recording_of_somebody_else_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/scan", "json", 0)
+        writer.add_message(channel, log_time=5, data=b"{}", publish_time=5)
+        writer.finish()
+    with pytest.raises(RunError, match="holds no messages of myograft"):
+        about_all([path])
