@@ -87,6 +87,7 @@ class Bus:
         listen: where to listen; "" is to be a client, who leaves no trace in the mesh.
         also: more endpoints to connect to, which need not be there: other robots' hubs.
         most_hz: of LATEST topics that are faster, take in no more than this; 0: take in all.
+        chains: of whom each has `most_hz` to itself, also when they come through one router.
 
     Raises:
         BusError: on entry, when nobody is at `endpoint`.
@@ -101,6 +102,7 @@ class Bus:
         listen: str = LOOPBACK,
         also: tuple[str, ...] = (),
         most_hz: float = 0.0,
+        chains: tuple[str, ...] = (),
     ) -> None:
         self.robot = robot
         self.process = process
@@ -108,7 +110,7 @@ class Bus:
         self.received: Counter[str] = Counter()  # message type -> read, since start
         self._config = _config(endpoint, listen, also)
         if most_hz:
-            self._config.insert_json5("downsampling", json.dumps(_thinning(robot, most_hz)))
+            self._config.insert_json5("downsampling", json.dumps(_thinning(robot, most_hz, chains)))
         self._where = endpoint or listen
         self._box: Mailbox[_Arrival | Presence] = Mailbox()
         self._polled: list[tuple[Any, Callable[[zenoh.Sample], None]]] = []
@@ -415,10 +417,14 @@ def _cache_depth(topic: Topic) -> int:
     return HISTORY_DEPTH if topic.keep is Keep.HISTORY else 1
 
 
-def _thinning(robot: str, most_hz: float) -> list[dict[str, Any]]:
-    """Zenoh drops what comes too fast on its own threads, before Python hears of it."""
+def _thinning(robot: str, most_hz: float, chains: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Zenoh drops what comes too fast on its own threads, before Python hears of it.
+
+    It counts by rule and link, not by key, so that chains must not share a rule.
+    """
     fast = [row for row in TOPICS if row.keep is Keep.LATEST and row.rate_hz > most_hz]
-    rules = [{"key_expr": key_pattern(robot, row.message), "freq": most_hz} for row in fast]
+    keys = {key_pattern(robot, row.message, chain): 0 for row in fast for chain in chains or ("*",)}
+    rules = [{"key_expr": key, "freq": most_hz} for key in keys]
     return [{"messages": ["put"], "flows": ["ingress"], "rules": rules}]
 
 

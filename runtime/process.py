@@ -85,6 +85,7 @@ class Launch:
             endpoint=self.endpoint,
             also=self.connect,
             most_hz=most_hz,
+            chains=tuple(chain.name for chain in self.settings.chain),
         ) as bus:
             follow_world = self.simulated or self.told_time
             member = Member(bus, follow_world=follow_world, parent=self.parent)

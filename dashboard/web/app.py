@@ -86,9 +86,10 @@ def make_app(
         return _told(word, await asyncio.get_running_loop().run_in_executor(pool, ask, message))
 
     async def login(request: Request) -> Response:
-        if request.method == "POST" and (response := await log_in(request, rules)):
+        asked = request.method == "POST"
+        if asked and (response := log_in(request, await _body(request), rules)):
             return response
-        status = 403 if request.method == "POST" else 200
+        status = 403 if asked else 200
         return FileResponse(STATIC / "login.html", status)
 
     async def viewer(request: Request) -> Response:
@@ -111,12 +112,13 @@ def make_app(
         )
 
     async def relay(request: Request) -> Response:
-        if not embedded.CALLS.fullmatch(request.url.path):
+        path = request.scope["path"]
+        if not embedded.CALLS.fullmatch(path):
             return said(404, "a viewer may read viz's stream, and nothing else")
         try:
             call = Relay(viewer_url())
             body = await _body(request)
-            status, headers, rest = await call.ask(request.url.path, request.headers.raw, body)
+            status, headers, rest = await call.ask(path, request.headers.raw, body)
         except RelayError as error:
             return said(502, str(error))
         answer = StreamingResponse(rest, status)

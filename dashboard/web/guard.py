@@ -113,11 +113,12 @@ class Guard:
         if request.scope["method"] not in SAFE and not _same_origin(headers, request.url):
             text = f"a page of {headers.get('origin')} may not speak to this robot"
             return said(403, text)
-        if not rules.token or request.url.path in OPEN:
+        # Not `request.url`: that is made of the `Host`, which is the asker's to choose.
+        if not rules.token or request.scope["path"] in OPEN:
             return None
         offered = request.query_params.get("token")
         if offered is not None and rules.fits(offered):
-            return self._welcome(request)
+            return self._welcome(request) if request.scope["method"] in SAFE else None
         if rules.fits(_bearer(headers)) or rules.fits(request.cookies.get(rules.cookie)):
             return None
         if "text/html" in headers.get("accept", ""):
@@ -144,9 +145,9 @@ def with_cookie(response: Response, url: URL, rules: Rules) -> Response:
     return response
 
 
-async def log_in(request: Request, rules: Rules) -> Response | None:
+def log_in(request: Request, body: bytes, rules: Rules) -> Response | None:
     """Where a token that was typed in leads; None when it is the wrong one."""
-    form = dict(parse_qsl((await request.body()).decode(errors="replace")))
+    form = dict(parse_qsl(body.decode(errors="replace")))
     if not rules.fits(form.get("token", "").strip()):
         return None
     return with_cookie(RedirectResponse("/", 303), request.url, rules)

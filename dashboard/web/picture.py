@@ -8,7 +8,6 @@ time, as it is told to `receive` and `sections`: a dead robot has no robot time.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
@@ -68,7 +67,7 @@ class Picture:
         self._heard_s: dict[str, float] = {}  # chain, or "" for the group -> wall time
         self._measured_rad: dict[str, float] = {}
         self._rows: Sequence[m.VersionRow] = ()
-        self._events: deque[m.Event] = deque(maxlen=EVENTS)
+        self._events: list[m.Event] = []  # as they happened
         self._viewers = 0
         self._changed = {"robot", "processes", "chains", "executive", "schema", "events"}
         self._slow_due_s = 0.0
@@ -284,7 +283,9 @@ class Picture:
     # ── inside ────────────────────────────────────────────────────────────────────────────────
 
     def _take_event(self, event: m.Event) -> None:
-        self._events.append(event)
+        # What happened before we came is told process by process.
+        in_order = sorted([*self._events, event], key=lambda known: known.stamp_ns)
+        self._events = in_order[-EVENTS:]
         self._changed.add("events")
         if event.kind == "viewer":
             self.viewer_url = event.data.get("url", "")

@@ -88,7 +88,10 @@ async def _look(member: Member, picture: Picture, feed: Feed, serving: asyncio.T
         now_s = time.monotonic()
         for item in member.wait(0.0):
             if not isinstance(item, Question):
-                picture.receive(item, now_s)
+                try:
+                    picture.receive(item, now_s)
+                except ValueError as error:
+                    log.warning("could not take %s: %s", type(item).__name__, error)
         if now_s >= hubs_due_s:
             hubs_due_s = now_s + HUBS_S
             hubs = {hub.robot: (hub, told_address(hub.run_dir)) for hub in living_hubs()}
@@ -108,9 +111,11 @@ async def _ask_for_versions(member: Member, picture: Picture) -> None:
         picture.versions_stale = False
         replies = await asyncio.to_thread(member.bus.request, SchemaRequest(action="list"))
         rows = [reply.data["rows"] for reply in replies if reply.ok and "rows" in reply.data]
-        if rows:
+        try:
             picture.take_versions(msgspec.json.decode(rows[0], type=list[VersionRow]))
-        else:
+        except (IndexError, msgspec.MsgspecError) as error:
+            if rows:
+                log.warning("the list of versions cannot be read: %s", error)
             await asyncio.sleep(ASK_AGAIN_S)
             picture.versions_stale = True
 

@@ -306,6 +306,15 @@ def test_a_token_in_the_address_becomes_a_cookie(guarded: Page) -> None:
     assert (answer.status, answer.headers["Location"]) == (303, "/results?a=b")
     assert "myograft-elbow=" in answer.headers["Set-Cookie"]
     assert guarded.get("/?token=nonsense").status == 401
+    stopped = guarded.post(f"/api/request/estop?token={token_of(guarded)}", "{}")
+    assert stopped.json["ok"], "a script's request is done, not led elsewhere"
+
+
+def test_what_is_asked_of_strangers_is_short(guarded: Page) -> None:
+    answer = guarded.post(
+        "/login", b"x" * 100_000, Content_Type="application/x-www-form-urlencoded"
+    )
+    assert answer.status == 413
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="makes its certificate with openssl")

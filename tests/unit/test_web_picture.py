@@ -188,6 +188,17 @@ def test_events_newest_first_and_no_more_than_fit(picture: Picture) -> None:
     assert told[0]["time_s"] == EVENTS + 4
 
 
+def test_histories_of_several_processes_are_told_in_order(picture: Picture) -> None:
+    for process, first_s in (("world", 50), ("executive", 0)):
+        for number in range(first_s, first_s + 50):
+            event = m.Event(
+                stamp_ns=number * 10**9, process=process, level="info", kind="told", text=""
+            )
+            picture.receive(event, NOW_S)
+    told = [event["time_s"] for event in sections(picture)["events"]["events"]]
+    assert told == [float(99 - k) for k in range(EVENTS)]
+
+
 def test_a_viewer_that_comes_back_is_another_one(picture: Picture) -> None:
     for number, port in enumerate((1, 2), start=1):
         event = m.Event(

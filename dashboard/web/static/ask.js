@@ -23,7 +23,7 @@ async function put(name, message) {
     });
   } catch {
     const advice = name === "estop" ? " Stop the robot by hand, or by: myograft estop" : "";
-    return { ok: false, text: `NOT SENT: the page's server does not answer.${advice}` };
+    return { ok: false, text: `NO ANSWER from the page's server: perhaps it was done, perhaps not.${advice}` };
   }
   try {
     return await response.json();

@@ -4,7 +4,7 @@ import { ask } from "./ask.js";
 import { breakable, byId, el, keyed, say, twice } from "./dom.js";
 
 const AMBER = 0.8; // of a limit
-const HELD = new Map(); // "chain/module" -> until when its LED blinks
+const HELD = new Map(); // module -> until when its LED blinks
 
 export function showChains({ chains, temperature_limit_degc }) {
   keyed(byId("chains"), chains, (chain) => chain.chain, makeChain, (element, chain) => {
@@ -90,7 +90,12 @@ export function showReadings(chains) {
     pill.className = `pill ${["silent", "stopping", "stopped"].includes(words) ? "bad" : ""}`;
     for (const item of element.querySelectorAll("[data-muscle]")) {
       const felt = chain.muscles[item.dataset.muscle];
-      if (!felt) continue;
+      if (!felt) {
+        for (const value of item.querySelectorAll(".value")) say(value, "–");
+        for (const bar of item.querySelectorAll("[role=meter] i")) bar.style.setProperty("--level", 0);
+        for (const meter of item.querySelectorAll("[role=meter]")) meter.setAttribute("aria-valuetext", "no reading");
+        continue;
+      }
       setGauge(item, "tension", felt[0], Number(item.dataset.limitN), "N");
       setGauge(item, "temperature", felt[1], Number(item.firstElementChild.dataset.limitDegc), "°C");
     }

@@ -27,7 +27,13 @@ export function say(element, text) {
 /** Let a parent hold one child a row, in order; what stays keeps its element, and so its focus.
  *  make(row) gives an element; update(element, row) fills it. */
 export function keyed(parent, rows, key, make, update) {
-  const had = new Map([...parent.children].map((child) => [child.dataset.key, child]));
+  const wanted = new Set(rows.map((row) => String(key(row))));
+  const had = new Map();
+  for (const child of [...parent.children]) {
+    const name = child.dataset.key;
+    if (wanted.has(name) && !had.has(name)) had.set(name, child);
+    else child.remove(); // first, so that what stays need not be moved; of two of one name the second
+  }
   rows.forEach((row, index) => {
     const name = String(key(row));
     let child = had.get(name);
@@ -39,7 +45,6 @@ export function keyed(parent, rows, key, make, update) {
     update(child, row);
     if (parent.children[index] !== child) parent.insertBefore(child, parent.children[index] ?? null);
   });
-  for (const gone of had.values()) gone.remove();
 }
 
 /** A button that has to be pressed twice, for what is not undone by pressing another. */

@@ -6,9 +6,11 @@ import { byId, el, say } from "./dom.js";
 
 const KEPT = "myograft.view";
 const WIDE_PX = 960;
+const HIDDEN_MS = 60000; // after which a page that nobody sees lets go of the viewer's connection
 let viewer = null; // {there, number} as the server tells it
 let wanted = null; // true | false: a person's word
 let shown = ""; // what the frame is showing
+let away = false; // nobody has seen this page for a while
 
 export function setUp() {
   wanted = { show: true, hide: false }[localStorage.getItem(KEPT)] ?? null;
@@ -16,6 +18,16 @@ export function setUp() {
     wanted = !isOpen();
     localStorage.setItem(KEPT, wanted ? "show" : "hide");
     draw();
+  });
+  let hiding = 0;
+  document.addEventListener("visibilitychange", () => {
+    clearTimeout(hiding);
+    const leave = (now) => {
+      away = now;
+      draw();
+    };
+    if (document.hidden) hiding = setTimeout(() => leave(true), HIDDEN_MS);
+    else leave(false);
   });
   draw();
 }
@@ -31,7 +43,7 @@ export function again() {
   draw();
 }
 
-const isOpen = () => Boolean(viewer?.there) && (wanted ?? (window.innerWidth >= WIDE_PX && hasGraphics()));
+const isOpen = () => Boolean(viewer?.there) && !away && (wanted ?? (window.innerWidth >= WIDE_PX && hasGraphics()));
 
 function draw() {
   const open = isOpen();
