@@ -134,8 +134,10 @@ class Enumerator:
         """A module that brought an id of its own, with a wire that may be slack or not."""
         try:
             kind, serial = yield from self._desk.identify(module_id)
-            if serial == self._desk.admitting or self._desk.is_full(serial):
-                return
+            known = self._roster.by_id(module_id)
+            admitted = known is not None and known.serial == serial and known.there
+            if admitted or serial == self._desk.admitting or self._desk.is_full(serial):
+                return  # not by us: on a slow line it has got that id while it was asked who it is
             name = self._desk.announced.pop(serial, "") or self._roster.name_of(
                 serial, module_id, kind
             )

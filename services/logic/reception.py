@@ -89,10 +89,7 @@ class Reception:
         module.polled, module.zeroed, module.alert = False, False, False
         module.missed, module.garbled = 0, 0
         try:
-            try:
-                yield from joining.prepare_slack(module, self.chain)
-            except RefusedError:  # seen of a write that is allowed, as a host stalled: once more
-                yield from joining.prepare_slack(module, self.chain)
+            yield from joining.prepare_slack(module, self.chain)
             module.polled = True
             wind_in = joining.WindIn(self.now_ns)
             while not wind_in.done(module, self.now_ns):

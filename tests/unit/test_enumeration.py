@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import msgspec
 import pytest
 
 from hardware_sim.firmware import JointModule
 from runtime import messages as m
 from runtime.logic import MemoryStore
-from tests.unit.driver_bench import SETTINGS, Bench
+from tests.unit.driver_bench import MS, SETTINGS, Bench
 
 
 @pytest.fixture
@@ -51,6 +53,25 @@ def test_a_fresh_module_is_named_wound_in_tared_and_zeroed(bench: Bench) -> None
     assert bench.bank.tension_tare_n[index] == pytest.approx(3.0, abs=0.02)
     assert bench.bank.stiffness_n_m[index] == 0.0
     assert bench.felt("m2")[1] == pytest.approx(30.0, abs=0.5)  # the others did not notice
+
+
+@pytest.mark.parametrize("waited_ms", range(0, 520, 20))
+def test_on_a_slow_line_a_fresh_module_is_taken_in_once(bench: Bench, waited_ms: int) -> None:
+    """Whoever looks for strangers may ask on its new id while it is just being given that."""
+    under_way: deque[tuple[int, m.BusReply]] = deque()
+
+    def late(reply: m.BusReply) -> None:
+        under_way.append((bench.now_ns + 20 * MS, reply))
+
+    bench.run(waited_ms * 1e-3)
+    bench.tamper = late
+    plug_m4(bench)
+    while "joined" not in bench.kinds() and bench.now_ns < 6_000 * MS:
+        bench.run(0.001)
+        while under_way and under_way[0][0] <= bench.now_ns:
+            bench.driver.receive(under_way.popleft()[1], bench.now_ns)
+            bench.tick()
+    assert bench.kinds() == ["module_found", "joined"]
 
 
 def test_length_never_jumps_once_it_is_told(bench: Bench) -> None:
