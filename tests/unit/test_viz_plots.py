@@ -25,17 +25,6 @@ from tests.unit.paper_canvas import (
     last_row,
 )
 
-
-@pytest.fixture
-def settings() -> RobotSettings:
-    return load_robot("elbow")
-
-
-@pytest.fixture
-def canvas() -> PaperCanvas:
-    return PaperCanvas()
-
-
 # ── slots and rows ──────────────────────────────────────────────────────────────────────────────
 
 

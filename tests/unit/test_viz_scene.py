@@ -27,16 +27,6 @@ from tests.unit.paper_canvas import (
 )
 
 
-@pytest.fixture
-def settings() -> RobotSettings:
-    return load_robot("elbow")
-
-
-@pytest.fixture
-def canvas() -> PaperCanvas:
-    return PaperCanvas()
-
-
 def test_body_follows_the_measured_angle_and_marks_the_added_muscle(
     settings: RobotSettings, canvas: PaperCanvas
 ) -> None:

@@ -2,22 +2,10 @@
 
 from __future__ import annotations
 
-import pytest
-
 from dashboard.stream import Stream
 from runtime import messages as m
-from runtime.settings import RobotSettings, load_robot
+from runtime.settings import RobotSettings
 from tests.unit.paper_canvas import SECOND, PaperCanvas, feed
-
-
-@pytest.fixture
-def settings() -> RobotSettings:
-    return load_robot("elbow")
-
-
-@pytest.fixture
-def canvas() -> PaperCanvas:
-    return PaperCanvas()
 
 
 def test_lanes_change_only_when_states_do(settings: RobotSettings, canvas: PaperCanvas) -> None:
