@@ -4,6 +4,7 @@ PYTHON ?= $(firstword $(shell command -v python3.11) python3)
 BIN := .venv/bin
 PACKAGES := runtime services hardware_sim dashboard experiments
 STAMP := .venv/.installed
+KEPT := $(or $(XDG_STATE_HOME),$(HOME)/.local/state)/myograft/experiments
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test check format bench docs pictures experiments clean
@@ -57,6 +58,7 @@ pictures: docs  ## the documents' pictures and tables, made anew
 experiments: setup  ## repeat the experiments; hours, and it goes on where it stopped
 	$(BIN)/python -m experiments elbow --json docs/results/elbow.json
 	$(BIN)/python -m experiments elbow --variants moved2,moved4,stiff,motor,soft,load \
+		--methods "(i),(ii),(iii),(iv),(iv) network" --controls converged --out $(KEPT)/elbow-variants \
 		--json docs/results/elbow-variants.json
 	$(BIN)/python -m experiments arm --variants clean,model,all --n-new 5,10,15,17,20,30 \
 		--json docs/results/arm.json

@@ -56,7 +56,14 @@ class Ablation:
         name = f"ablate-{choices.experiment}"
         return Ablation(
             comparison,
-            replace(choices, experiment=name, methods=parts, quick_n_new=(1,), quick_seeds=1),
+            replace(
+                choices,
+                experiment=name,
+                methods=parts,
+                controls={},
+                quick_n_new=(1,),
+                quick_seeds=1,
+            ),
             [replace(m, paper={}, claims={}, against=WHOLE) for m in (*measures, *OWN)],
         )
 

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from experiments import options
-from experiments.comparison import LEARNING, Comparison
+from experiments.comparison import CONTROLS, LEARNING, Comparison
 from experiments.methods import METHODS
 from experiments.options import Choices
 from experiments.report import carry_out
@@ -35,6 +35,7 @@ CHOICES = Choices(
     variants={name: variant.text for name, variant in ARM_VARIANTS.items()},
     quick_n_new=(5,),
     quick_seeds=1,
+    controls=CONTROLS,
 )
 MEASURES = (
     Measure(
@@ -61,14 +62,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sweep; tell, draw and keep what it found."""
     chosen = options.read(args, CHOICES)
-    work = partial(one_unit, methods=chosen.methods, quick=chosen.quick)
+    work = partial(one_unit, methods=chosen.methods, controls=chosen.controls, quick=chosen.quick)
     title = "five joints, an eleventh muscle is added"
     return carry_out(CHOICES, chosen, work, ARM.fingerprint(), MEASURES, title=title)
 
 
-def one_unit(unit: Unit, methods: tuple[str, ...], quick: bool) -> list[Run]:
+def one_unit(
+    unit: Unit, methods: tuple[str, ...], controls: tuple[str, ...], quick: bool
+) -> list[Run]:
     """Everything of one robot, one variant and one number of motions."""
-    runs = ARM.unit(unit, methods, quick)
+    runs = ARM.unit(unit, methods, controls, quick)
     for control in {run["control"] for run in runs}:
         own = [r for r in runs if r["control"] == control and r["method"] in COMPARED]
         if len(own) == 3 and all("e_f" in r["figures"] for r in own):

@@ -28,6 +28,11 @@ from services.body_schema.schema import Schema
 from services.logic.arm import Arm
 
 PAPERS, CONVERGED = "paper", "converged"
+CONTROLS = {
+    PAPERS: "the paper's: settled samples, 300 steps of Adam on the latent space",
+    CONVERGED: "whole trajectories, least tension, converged",
+}
+SHARINGS = {"norm": "least ||f||^2", "peak": "least peak tension"}  # by converged control
 LEARNING = Measure("learn", "relearning, processor time", "s", 1)
 Score = Callable[[Rig], dict[str, float]]  # runs the task; raises SessionError if it does not end
 
@@ -40,15 +45,11 @@ class Comparison:
         robot: its name.
         variants: by name.
         score: runs the task on a rig that holds, and gives its figures.
-        papers_control: whether the paper's control is tried too.
-        shared: whether each model shares by least norm and by least peak, not by norm alone.
     """
 
     robot: str
     variants: Mapping[str, Variant]
     score: Score
-    papers_control: bool = True
-    shared: bool = False  # whether every model is tried with both kinds of sharing
 
     def fingerprint(self) -> dict[str, object]:
         """What decides about the results."""
@@ -65,8 +66,13 @@ class Comparison:
             "descent": asdict(Descent()),
         }
 
-    def unit(self, unit: Unit, methods: tuple[str, ...], quick: bool) -> list[Run]:
-        """All runs of one unit; N_new 0 are the baselines."""
+    def unit(
+        self, unit: Unit, methods: tuple[str, ...], controls: tuple[str, ...], quick: bool
+    ) -> list[Run]:
+        """All runs of one unit; N_new 0 are the baselines.
+
+        `controls` are of `CONTROLS`, or of `SHARINGS`. The paper's is for what the paper has.
+        """
         variant = self.variants[unit.variant]
         settings = variant.settings(load_robot(self.robot))
         old = variant.old(settings)
@@ -74,10 +80,7 @@ class Comparison:
         trials = Trials(self.score, unit, settings, variant, network)
         collected = collect(settings, unit.seed, network, unit.n_new or 1, variant.arm(Arm))
         trials.known["collect_peak_n"] = collected.peak_tension_n
-        controls = (PAPERS, CONVERGED) if self.papers_control else (CONVERGED,)
-        converged = ("norm", "peak") if self.shared else (CONVERGED,)
-        if self.shared:
-            controls = converged
+        converged = [control for control in controls if control != PAPERS]
         if unit.n_new == 0:
             for control in controls:
                 trials.run("before", control, network, None)
@@ -142,7 +145,7 @@ class Trials:
         figures = dict(self.known)
         try:
             settings = self._settings
-            if control in ("norm", "peak"):
+            if control in SHARINGS:
                 sharing = msgspec.structs.replace(settings.control, sharing=control)
                 settings = msgspec.structs.replace(settings, control=sharing)
             rig = start(settings, self._unit.seed, model or self._old, robot, arm)

@@ -12,7 +12,7 @@ from dataclasses import asdict
 from functools import partial
 
 from experiments import options
-from experiments.comparison import LEARNING, Comparison
+from experiments.comparison import CONTROLS, LEARNING, Comparison
 from experiments.methods import METHODS
 from experiments.options import Choices
 from experiments.report import carry_out
@@ -30,6 +30,7 @@ CHOICES = Choices(
     methods=METHODS,
     variants={name: variant.text for name, variant in VARIANTS.items()},
     quick_n_new=(1, 5),
+    controls=CONTROLS,
 )
 MEASURES = (
     Measure(
@@ -66,14 +67,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sweep; tell, draw and keep what it found."""
     chosen = options.read(args, CHOICES)
-    work = partial(one_unit, methods=chosen.methods, quick=chosen.quick)
+    work = partial(one_unit, methods=chosen.methods, controls=chosen.controls, quick=chosen.quick)
     title = "one joint, a fourth muscle is added"
     return carry_out(CHOICES, chosen, work, ELBOW.fingerprint(), MEASURES, title=title)
 
 
-def one_unit(unit: Unit, methods: tuple[str, ...], quick: bool) -> list[Run]:
+def one_unit(
+    unit: Unit, methods: tuple[str, ...], controls: tuple[str, ...], quick: bool
+) -> list[Run]:
     """Everything of one robot, one variant and one number of motions."""
-    return ELBOW.unit(unit, methods, quick)
+    return ELBOW.unit(unit, methods, controls, quick)
 
 
 def score(rig: Rig) -> dict[str, float]:

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from experiments import options
-from experiments.comparison import LEARNING, Comparison
+from experiments.comparison import LEARNING, SHARINGS, Comparison
 from experiments.methods import METHODS
 from experiments.options import Choices
 from experiments.report import carry_out
@@ -35,6 +35,7 @@ CHOICES = Choices(
     variants={name: variant.text for name, variant in LIFT_VARIANTS.items()},
     quick_n_new=(5,),
     quick_seeds=1,
+    controls=SHARINGS,
 )
 MEASURES = (
     Measure("peak_n", "peak", "N", 0, paper={("before", 0): 215.0, ("(iii)", 17): 118.0}),
@@ -53,14 +54,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sweep; tell, draw and keep what it found."""
     chosen = options.read(args, CHOICES)
-    work = partial(one_unit, methods=chosen.methods, quick=chosen.quick)
+    work = partial(one_unit, methods=chosen.methods, controls=chosen.controls, quick=chosen.quick)
     title = "a dumbbell is lifted, a third shoulder-pitch muscle is added"
     return carry_out(CHOICES, chosen, work, LIFT.fingerprint(), MEASURES, title=title)
 
 
-def one_unit(unit: Unit, methods: tuple[str, ...], quick: bool) -> list[Run]:
+def one_unit(
+    unit: Unit, methods: tuple[str, ...], controls: tuple[str, ...], quick: bool
+) -> list[Run]:
     """Everything of one robot, one variant and one number of motions."""
-    return LIFT.unit(unit, methods, quick)
+    return LIFT.unit(unit, methods, controls, quick)
 
 
 class Peak:
@@ -96,4 +99,4 @@ def score(rig: Rig) -> dict[str, float]:
     }
 
 
-LIFT = Comparison("musashi_w", LIFT_VARIANTS, score, papers_control=False, shared=True)
+LIFT = Comparison("musashi_w", LIFT_VARIANTS, score)

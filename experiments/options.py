@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from experiments.sweep import BACKENDS, Unit
@@ -19,7 +19,8 @@ class Choices:
     Attributes:
         experiment: its name.
         n_new: numbers of motions that the paper learns from.
-        methods, variants: name -> what it is, for the help; the first variant is the default.
+        methods, controls, variants: name -> what it is, for the help; the first variant is the
+            default, and all methods and controls.
         quick_n_new, quick_seeds: what `--quick` runs.
     """
 
@@ -29,6 +30,7 @@ class Choices:
     variants: Mapping[str, str]
     quick_n_new: Sequence[int]
     quick_seeds: int = 2
+    controls: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ class Options:
     seeds: tuple[int, ...]
     n_new: tuple[int, ...]
     methods: tuple[str, ...]
+    controls: tuple[str, ...]
     variants: tuple[str, ...]
     jobs: int
     backend: str
@@ -63,11 +66,12 @@ def configure(parser: argparse.ArgumentParser, choices: Choices) -> None:
     parser.epilog = "\n".join(
         [
             *_listed("methods:", choices.methods),
+            *(_listed("controls:", choices.controls) if choices.controls else ()),
             *_listed("variants:", choices.variants),
             "",
             "Every finished piece is kept at once: stop with Ctrl-C, and the same command goes on.",
-            "More --seeds, --n-new or --variants later add to what is kept; other --methods need",
-            "another --out.",
+            "More --seeds, --n-new or --variants later add to what is kept; other --methods or",
+            "--controls need another --out.",
         ]
     )
     add = parser.add_argument
@@ -75,6 +79,8 @@ def configure(parser: argparse.ArgumentParser, choices: Choices) -> None:
     add("--seed", default="0", metavar="N", help="the first one (default 0)")
     add("--n-new", metavar="N,N", help=f"motions learned from (default {_words(choices.n_new)})")
     add("--methods", metavar="A,B", help="which to compare (default all); see below")
+    if choices.controls:
+        add("--controls", metavar="A,B", help="to try each by (default all); see below")
     add("--variants", metavar="A,B", help=f"(default {next(iter(choices.variants))}); see below")
     add(
         "--jobs",
@@ -116,10 +122,12 @@ def read(args: argparse.Namespace, choices: Choices) -> Options:
         raise UsageError(f"--backend {args.backend}: there are {', '.join(BACKENDS)}")
     if (args.backend == "dask") != bool(args.address):
         raise UsageError("--backend dask and --address tcp://HOST:PORT go together")
+    controls: str | None = getattr(args, "controls", None)  # some experiments have but one
     return Options(
         seeds=tuple(range(first, first + count)),
         n_new=tuple(dict.fromkeys(n_new)),
         methods=_names("--methods", args.methods, choices.methods, list(choices.methods)),
+        controls=_names("--controls", controls, choices.controls, list(choices.controls)),
         variants=_names("--variants", args.variants, choices.variants, list(choices.variants)[:1]),
         jobs=_count("--jobs", args.jobs, 1),
         backend=args.backend,

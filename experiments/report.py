@@ -26,9 +26,15 @@ def carry_out(
 ) -> int:
     """Run what is not kept yet, then tell all of it; the exit code, 1 if a piece failed.
 
-    Methods belong to the settings, for each piece runs all of them: they join the fingerprint.
+    Methods and controls belong to the settings, for each piece runs all of them: they join the
+    fingerprint.
     """
-    settings = {**fingerprint, "methods": options.methods, "quick": options.quick}
+    settings = {
+        **fingerprint,
+        "methods": options.methods,
+        "controls": options.controls,
+        "quick": options.quick,
+    }
     with Store(options.out, settings, fresh=options.fresh) as store, bars() as narrate:
         outcome = run_units(
             options.units(choices.experiment),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
-from experiments.comparison import Comparison
+from experiments.comparison import CONTROLS, SHARINGS, Comparison
 from experiments.elbow import ELBOW
 from experiments.rig import Rig
 from experiments.session import SessionError
@@ -45,9 +46,14 @@ def one_target(rig: Rig) -> dict[str, float]:
 TINY = replace(ELBOW, score=one_target)
 
 
-def rows(comparison: Comparison, n_new: int, methods: tuple[str, ...] = ()) -> list[Run]:
+def rows(
+    comparison: Comparison,
+    n_new: int,
+    methods: tuple[str, ...] = (),
+    controls: Iterable[str] = CONTROLS,
+) -> list[Run]:
     unit = Unit("elbow", "clean", 3, n_new)
-    return comparison.unit(unit, methods, quick=True)
+    return comparison.unit(unit, methods, tuple(controls), quick=True)
 
 
 def without_time(found: list[Run]) -> list[dict[str, object]]:
@@ -91,8 +97,7 @@ def test_shared_tensions_are_tried_by_norm_and_by_peak() -> None:
         said.append(rig.settings.control.sharing)
         return {}
 
-    shared = replace(TINY, score=sharing, papers_control=False, shared=True)
-    found = rows(shared, 0)
+    found = rows(replace(TINY, score=sharing), 0, controls=SHARINGS)
     assert [(row["method"], row["control"]) for row in found] == [
         ("before", "norm"),
         ("before", "peak"),
@@ -109,11 +114,9 @@ def test_a_robot_that_fails_its_task_is_a_row_that_says_so() -> None:
         raise SessionError("it never came to rest")
 
     variants = {**VARIANTS, "clean": Variant("as ever")}
-    found = rows(replace(TINY, score=never, variants=variants), 1, ("(i)",))
-    assert [(row["method"], row["control"]) for row in found] == [
-        ("(i)", "paper"),
-        ("(i)", "converged"),
-    ]
+    never_at_rest = replace(TINY, score=never, variants=variants)
+    found = rows(never_at_rest, 1, ("(i)",), ("converged",))
+    assert [(row["method"], row["control"]) for row in found] == [("(i)", "converged")]
     for row in found:
         assert row["figures"]["failed"] == 1.0
         assert np.isfinite(row["figures"]["collect_peak_n"])

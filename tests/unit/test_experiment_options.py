@@ -21,6 +21,7 @@ CHOICES = Choices(
     methods={"(i)": "new motions only", "(ii)": "old ones too", "wires": "a wire each"},
     variants={"paper": "as the paper has it", "misfit": "moved insertions"},
     quick_n_new=(3,),
+    controls={"paper": "300 steps", "converged": "to the end"},
 )
 
 
@@ -39,6 +40,7 @@ def test_defaults(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     default = options()
     assert default.seeds == tuple(range(10)) and default.n_new == (1, 3, 15)
     assert default.methods == ("(i)", "(ii)", "wires") and default.variants == ("paper",)
+    assert default.controls == ("paper", "converged")
     assert default.out == tmp_path / "myograft/experiments/elbow"
     assert (default.jobs, default.backend) == (2, "loky")
     quick = options("--quick")
@@ -66,6 +68,7 @@ def test_words() -> None:
     assert chosen.seeds == (7, 8) and chosen.n_new == (5, 1) and chosen.out == Path("x")
     assert chosen.methods == ("(i)", "wires") and chosen.variants == ("paper", "misfit")
     assert options("--methods", "(ii)").methods == ("(ii)",)
+    assert options("--controls", "converged").controls == ("converged",)
     keys = [unit.key for unit in chosen.units("elbow")]
     assert len(set(keys)) == 12
     assert keys[:3] == ["elbow/paper/n0/seed7", "elbow/paper/n5/seed7", "elbow/paper/n1/seed7"]

@@ -58,7 +58,7 @@ def test_everything_is_told_and_written(tmp_path: Path, capsys: pytest.CaptureFi
         assert (tmp_path / name).stat().st_size > 200 and name in out
     kept = json.loads(told.read_text())
     assert len(kept["runs"]) == 3 * 2 * (1 + 2 * 2) and kept["failed"] == {}
-    settings = {"mass_kg": 1.0, "methods": ["(i)", "(ii)"], "quick": False}
+    settings = {"mass_kg": 1.0, "methods": ["(i)", "(ii)"], "controls": [], "quick": False}
     assert kept["fingerprint"] == settings
 
 
