@@ -7,6 +7,7 @@ by `ablate` and on variants is told, not drawn.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,13 @@ def render(name: str) -> str:
         for line in ordering_lines(measure, runs)
         if "the paper:" in line
     ]
-    return "\n\n".join([*tables, "\n".join(["```", *orders, "```"]) if orders else ""]).strip()
+    return "\n\n".join([*tables, _folded(orders) if orders else ""]).strip()
+
+
+def _folded(orders: Sequence[str]) -> str:
+    """Many lines that a reader opens."""
+    head = "<summary>The paper's orderings, each with its paired 95 % interval</summary>"
+    return "\n".join(["<details>", head, "", "```", *orders, "```", "</details>"])
 
 
 def with_results(page: str) -> str:
