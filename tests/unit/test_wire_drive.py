@@ -31,12 +31,12 @@ def run(drive: WireDrive, command: float, tension: float, steps: int) -> None:
     [(-0.01, 0.0), (0.0, 0.0), (0.001, 1.075), (0.004, 8.8), (0.01, 85.0)],
 )
 def test_elastic_curve(stretch_m: float, tension_n: float) -> None:
-    assert elastic_tension_n(np.array([stretch_m]), CURVE)[0] == pytest.approx(tension_n, abs=1e-12)
+    assert elastic_tension_n(stretch_m, *CURVE) == pytest.approx(tension_n, abs=1e-12)
 
 
 def test_elastic_curve_has_a_quadratic_term_too() -> None:
     # 2 * 0.5 + 3 * 0.25 + 4 * 0.125
-    assert elastic_tension_n(np.array([0.5]), (2.0, 3.0, 4.0))[0] == pytest.approx(2.25)
+    assert elastic_tension_n(0.5, 2.0, 3.0, 4.0) == pytest.approx(2.25)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_inverse_of_the_elastic_curve(tension_n: float, stretch_m: float) -> Non
 def test_inverse_holds_for_curves_of_any_degree(curve: tuple[float, float, float]) -> None:
     for tension in (0.0, 0.5, 20.0, 150.0):
         stretch = elastic_stretch_m(tension, curve)
-        assert elastic_tension_n(np.array([stretch]), curve)[0] == pytest.approx(tension, abs=1e-9)
+        assert elastic_tension_n(stretch, *curve) == pytest.approx(tension, abs=1e-9)
 
 
 def test_speed_follows_its_command_with_a_lag() -> None:
