@@ -301,6 +301,10 @@ class Plant:
 
     def _bind(self) -> None:
         self._coordinates = Coordinates(self.model, self.joints)
+        if not (self.model.geom_contype.any() or self.model.npair):  # nothing here can touch
+            self.model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_CONTACT
+        if self.model.ntree == 1:  # MuJoCo need not look for parts that move on their own
+            self.model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_ISLAND
         self._elsewhere = mj.MjData(self.model)  # postures that are only asked about
         # Views, as finding them takes longer than using them. Rest length is the second of each
         # tendon's two plastic states.
