@@ -123,7 +123,8 @@ class Rig:
         for part in self._parts:
             if type(request) in part.logic.requests:
                 reply = part.logic.answer(request, self.now_ns)
-                self._wake(part)
+                part.woken = True
+                self._quiet_until_ns = 0
         return reply
 
     def _by_hand(self, request: m.Plug | m.Unplug | m.Fault) -> m.Event:
@@ -205,11 +206,8 @@ class Rig:
             watcher(message)
         for part in self._readers.get(kind, ()):
             part.logic.receive(message, self.robot.now_ns)
-            self._wake(part)
-
-    def _wake(self, part: _Part) -> None:
-        part.woken = True
-        self._quiet_until_ns = 0
+            part.woken = True
+            self._quiet_until_ns = 0
 
 
 def shipped_schema(settings: RobotSettings) -> bytes | None:

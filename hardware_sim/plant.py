@@ -308,7 +308,7 @@ class Plant:
         self._elsewhere = mj.MjData(self.model)  # postures that are only asked about
         # Views, as finding them takes longer than using them. Rest length is the second of each
         # tendon's two plastic states.
-        self._rest_length = self.data.plastic.reshape(-1)[1::2]
+        self._rest_length: Array = self.data.plastic.reshape(-1)[1::2]
         self._path_length: Array = self.data.ten_length
         self._friction_n = self.model.tendon_frictionloss
         self._tension_n = np.zeros(len(self.wires))
