@@ -180,7 +180,7 @@ class Rig:
             return
         due = [part.due_ns for part in self._parts]
         out = [waiting[0][0] for waiting in self._replies.values() if waiting]
-        self._quiet_until_ns = min(truth_ns, *due, *out)
+        self._quiet_until_ns = min([truth_ns, *due, *out])
 
     def _publish(self, messages: Iterable[Message]) -> None:
         now_ns = self.robot.now_ns

@@ -90,12 +90,12 @@ class Plant:
 
     @property
     def wire_length_m(self) -> Array:
-        """Wire paid out from each spool (the spring's rest length), shape (M,): a view."""
+        """Wire paid out from each spool (the spring's rest length), shape (M,): no copy."""
         return self._rest_length
 
     @property
     def path_length_m(self) -> Array:
-        """Geometric length of each wire's path at the last `sense`, shape (M,): a view."""
+        """Geometric length of each wire's path at the last `sense`, shape (M,): no copy."""
         return self._path_length
 
     def wires_at(self, angle_rad: Array) -> tuple[Array, Array]:
@@ -140,15 +140,7 @@ class Plant:
         """
         mj.mj_step1(self.model, self.data)
         # the constraints are built already: a friction takes effect at the next step
-        stretch_wires(
-            self._path_length,
-            self._rest_length,
-            self._stiffness,
-            *self._elastic_n_m,
-            self._friction,
-            self._tension_n,
-            self._friction_n,
-        )
+        stretch_wires(*self._stretched)
         return self._tension_n
 
     def act(self, command_m_s: Array, tension_n: Array) -> None:
@@ -312,15 +304,22 @@ class Plant:
         self._path_length: Array = self.data.ten_length
         self._friction_n = self.model.tendon_frictionloss
         self._tension_n = np.zeros(len(self.wires))
-        self._friction = float(np.sinh(self.simulation.wire_friction))
-        self._elastic_n_m = self.simulation.elastic_n_m
         added = self.simulation.spare_stiffness
         self._stiffer = np.array([1.0 if name in self.paths else added for name in self.wires])
         self.grasp.bind(self.model, self.data)
         whole = np.array([name not in self.ruptured for name in self.wires])
-        self._stiffness = self._stiffer * whole
+        scales = self._stiffer * whole
+        self._stretched = (  # what `stretch_wires` is given in each step
+            self._path_length,
+            self._rest_length,
+            scales,
+            *self.simulation.elastic_n_m,
+            float(np.sinh(self.simulation.wire_friction)),
+            self._tension_n,
+            self._friction_n,
+        )
         stiffness = np.array(self.simulation.elastic_n_m)
-        for index, scale in enumerate(self._stiffness.tolist()):
+        for index, scale in enumerate(scales.tolist()):
             self.model.tendon_stiffness[index] = scale * stiffness[0]
             self.model.tendon_stiffnesspoly[index] = scale * stiffness[1:]
 

@@ -66,12 +66,9 @@ class SimulatedRobot:
         """One millisecond: sense, run the modules' loops, move."""
         plant, drive = self.plant, self.plant.drive
         tension = plant.sense()
-        load, length = self.sensors.read(tension, plant.wire_length_m, drive.speed_m_s)
-        for name, reading in self.sensors.stuck.items():
-            if name in self._modules:
-                load[plant.wires.index(name)] = reading
-        hot = self._motor_temperature_degc() if self.faults.active else drive.temperature_degc
-        speed = self.bank.step(DT_S, load, length, hot, self.now_ns)
+        load, length = self.sensors.read(plant.wires, tension, plant.wire_length_m, drive.speed_m_s)
+        degc = self._motor_temperature_degc() if self.faults.active else drive.temperature_degc
+        speed = self.bank.step(DT_S, load, length, degc, self.now_ns)
         plant.act(speed, tension)
         self._tension_n = tension
         self.now_ns += STEP_NS

@@ -1,6 +1,6 @@
 """The simulated robot's sensors: load cells and encoders of its wires, angle sensors of its joints.
 
-Each reads the truth, off by an offset and noise. One that is stuck reads on what it read last.
+Each reads the truth, off by an offset and noise; one that is stuck goes on with what it read last.
 """
 
 from __future__ import annotations
@@ -56,8 +56,13 @@ class Sensors:
         """Take offsets that were saved."""
         self._use(np.array(cell_offset_n), np.array(encoder_offset_m))
 
-    def read(self, tension_n: Array, length_m: Array, speed_m_s: Array) -> tuple[Array, Array]:
-        """What load cells [N] and encoders [m] read of what is; written anew by the next call."""
+    def read(
+        self, wires: list[str], tension_n: Array, length_m: Array, speed_m_s: Array
+    ) -> tuple[Array, Array]:
+        """What load cells [N] and encoders [m] read of what is, by the names of the wires.
+
+        The next call writes them anew.
+        """
         if self._row >= len(self._noise):
             self._draw()
         load, length = self._load_n, self._length_m
@@ -65,6 +70,9 @@ class Sensors:
         self._row += 1
         if self._motor_friction:
             load -= self._motor_friction * tension_n * np.tanh(speed_m_s / CREEP_M_S)
+        for name, reading in self.stuck.items():
+            if name in wires:
+                load[wires.index(name)] = reading
         return load, length
 
     def read_angle(self, joint: str, angle_rad: float) -> float:
