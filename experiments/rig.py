@@ -24,7 +24,7 @@ from services.logic.muscle_driver import MuscleDriver
 from services.logic.retrainer import Retrainer
 from services.logic.skeleton import Skeleton
 
-TRUTH_EVERY_MS = 5
+TRUTH_EVERY_NS = 5_000_000
 LINE_SLACK_NS = 1_000_000  # a reply that is out within the step is heard within the step
 
 
@@ -123,7 +123,8 @@ class Rig:
         for part in self._parts:
             if type(request) in part.logic.requests:
                 reply = part.logic.answer(request, self.now_ns)
-                self._wake(part)
+                part.woken = True
+                self._quiet_until_ns = 0
         return reply
 
     def _by_hand(self, request: m.Plug | m.Unplug | m.Fault) -> m.Event:
@@ -153,26 +154,33 @@ class Rig:
     def step(self) -> None:
         """One millisecond."""
         self.robot.step()
-        now_ns = self.robot.now_ns
-        if self.watchers and now_ns % (TRUTH_EVERY_MS * 1_000_000) == 0:
+        if self.robot.now_ns >= self._quiet_until_ns:
+            self._act(self.robot.now_ns)
+
+    def _act(self, now_ns: int) -> None:
+        """Tell the truth when that is due, hand on what the lines answered, let the logics act."""
+        truth_ns = now_ns + TRUTH_EVERY_NS - now_ns % TRUTH_EVERY_NS  # the next
+        if self.watchers and now_ns % TRUTH_EVERY_NS == 0:
             truth = self.robot.truth()
             for watcher in self.watchers:
                 watcher(truth)
         for waiting in self._replies.values():
             while waiting and waiting[0][0] <= now_ns:
                 self._publish([waiting.popleft()[1]])
-        if now_ns < self._quiet_until_ns:
-            return
         for _ in range(8):  # answers to answers within the step: ends as logics fall silent
             ready = [part for part in self._parts if part.woken or part.due_ns <= now_ns]
             if not ready:
-                self._quiet_until_ns = min([part.due_ns for part in self._parts], default=0)
                 break
             for part in ready:
                 part.woken = False
                 if part.due_ns <= now_ns:
                     part.due_ns = now_ns + part.logic.period_ns
                 self._publish(part.logic.tick(now_ns))
+        else:
+            return
+        due = [part.due_ns for part in self._parts]
+        out = [waiting[0][0] for waiting in self._replies.values() if waiting]
+        self._quiet_until_ns = min([truth_ns, *due, *out])
 
     def _publish(self, messages: Iterable[Message]) -> None:
         now_ns = self.robot.now_ns
@@ -198,11 +206,8 @@ class Rig:
             watcher(message)
         for part in self._readers.get(kind, ()):
             part.logic.receive(message, self.robot.now_ns)
-            self._wake(part)
-
-    def _wake(self, part: _Part) -> None:
-        part.woken = True
-        self._quiet_until_ns = 0
+            part.woken = True
+            self._quiet_until_ns = 0
 
 
 def shipped_schema(settings: RobotSettings) -> bytes | None:

@@ -18,6 +18,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 NUMBER = numba.float64
 INTEGER = numba.int64
 VECTOR = numba.float64[:]
+BLOCK = numba.float64[:, :, ::1]
 
 
 def records(dtype: np.dtype[np.void]) -> Any:

@@ -92,7 +92,7 @@ class MuscleBank(MuscleRows):
             now_ns: robot time.
 
         Returns:
-            Winding speeds [m/s], (M,), positive pays out wire.
+            Winding speeds [m/s], (M,), positive pays out wire; the next call writes them anew.
         """
         self.now_ns = now_ns
         if now_ns >= self._next_check_ns:
@@ -100,9 +100,8 @@ class MuscleBank(MuscleRows):
             self.temperature_degc[:] = temperature_degc
             if _odd(self._table, tension_n, now_ns):
                 self._judge(tension_n - self.tension_tare_n)
-        speed = np.empty(len(self))
-        _run_loops(self._table, dt_s, tension_n, length_m, speed)
-        return speed
+        _run_loops(self._table, dt_s, tension_n, length_m, self._speed_m_s)
+        return self._speed_m_s
 
     def capped(self, index: int) -> bool:
         """Whether the stiffness law asks for more tension than is allowed."""
@@ -165,6 +164,10 @@ class MuscleBank(MuscleRows):
         self._drive(index)
 
     # ── inside ───────────────────────────────────────────────────────────────────────────────
+
+    def _use(self, table: NDArray[np.void]) -> None:
+        super()._use(table)
+        self._speed_m_s = np.zeros(len(table))
 
     def _ceiling_n(self, index: int) -> float:
         return GUARD * self.tension_limit_n.item(index) * self.derating.item(index)

@@ -22,7 +22,7 @@ from hardware_sim.wire_drive import (
     Array,
     WireDrive,
     elastic_stretch_m,
-    elastic_tension_n,
+    stretch_wires,
 )
 from runtime.coordinates import Coordinates
 from runtime.messages import MusclePath, Place
@@ -90,12 +90,12 @@ class Plant:
 
     @property
     def wire_length_m(self) -> Array:
-        """Wire paid out from each spool (the spring's rest length), shape (M,)."""
-        return np.asarray(self._rest_length.copy())
+        """Wire paid out from each spool (the spring's rest length), shape (M,): no copy."""
+        return self._rest_length
 
     @property
     def path_length_m(self) -> Array:
-        """Geometric length of each wire's path at the last `step`, shape (M,)."""
+        """Geometric length of each wire's path at the last `sense`, shape (M,): no copy."""
         return self._path_length
 
     def wires_at(self, angle_rad: Array) -> tuple[Array, Array]:
@@ -133,20 +133,19 @@ class Plant:
     # ── stepping ──────────────────────────────────────────────────────────────────────────────
 
     def sense(self) -> Array:
-        """First half of a step: positions are current. Returns true tensions [N], shape (M,)."""
+        """First half of a step: positions are current.
+
+        Returns:
+            True tensions [N], shape (M,); the next call writes them anew.
+        """
         mj.mj_step1(self.model, self.data)
-        stretch = self._path_length - self._rest_length
-        tension: Array = elastic_tension_n(stretch, self._elastic_n_m)
-        tension *= self._stiffer
-        if self.ruptured:
-            tension[self._broken] = 0.0
-        return tension
+        # the constraints are built already: a friction takes effect at the next step
+        stretch_wires(*self._stretched)
+        return self._tension_n
 
     def act(self, command_m_s: Array, tension_n: Array) -> None:
         """Second half of a step: motors follow winding speeds [m/s], the body moves on by 1 ms."""
-        self._rest_length += self.drive.step(DT_S, command_m_s, tension_n)
-        # after step1 the constraint bounds are built already: this takes effect at the next step
-        np.multiply(tension_n, self._friction, out=self._friction_n)
+        self.drive.step(DT_S, command_m_s, tension_n, self._rest_length)
         self._steps += 1
         if self._steps % WARM_STEPS == 0:
             self.drive.warm(WARM_STEPS * DT_S, tension_n)
@@ -294,21 +293,33 @@ class Plant:
 
     def _bind(self) -> None:
         self._coordinates = Coordinates(self.model, self.joints)
+        if not (self.model.geom_contype.any() or self.model.npair):  # nothing here can touch
+            self.model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_CONTACT
+        if self.model.ntree == 1:  # MuJoCo need not look for parts that move on their own
+            self.model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_ISLAND
         self._elsewhere = mj.MjData(self.model)  # postures that are only asked about
         # Views, as finding them takes longer than using them. Rest length is the second of each
         # tendon's two plastic states.
-        self._rest_length = self.data.plastic.reshape(-1)[1::2]
+        self._rest_length: Array = self.data.plastic.reshape(-1)[1::2]
         self._path_length: Array = self.data.ten_length
         self._friction_n = self.model.tendon_frictionloss
-        self._friction = np.array(np.sinh(self.simulation.wire_friction))
-        self._elastic_n_m = self.simulation.elastic_n_m
+        self._tension_n = np.zeros(len(self.wires))
         added = self.simulation.spare_stiffness
         self._stiffer = np.array([1.0 if name in self.paths else added for name in self.wires])
         self.grasp.bind(self.model, self.data)
-        self._broken = np.array([name in self.ruptured for name in self.wires], dtype=bool)
+        whole = np.array([name not in self.ruptured for name in self.wires])
+        scales = self._stiffer * whole
+        self._stretched = (  # what `stretch_wires` is given in each step
+            self._path_length,
+            self._rest_length,
+            scales,
+            *self.simulation.elastic_n_m,
+            float(np.sinh(self.simulation.wire_friction)),
+            self._tension_n,
+            self._friction_n,
+        )
         stiffness = np.array(self.simulation.elastic_n_m)
-        for index, name in enumerate(self.wires):
-            scale = 0.0 if name in self.ruptured else self._stiffer[index]
+        for index, scale in enumerate(scales.tolist()):
             self.model.tendon_stiffness[index] = scale * stiffness[0]
             self.model.tendon_stiffnesspoly[index] = scale * stiffness[1:]
 

@@ -20,17 +20,14 @@ from hardware_sim.faults import Faults
 from hardware_sim.firmware import JointModule, MuscleModule
 from hardware_sim.muscle_bank import MuscleBank
 from hardware_sim.plant import DT_S, Plant
+from hardware_sim.sensors import Sensors
 from runtime import messages as m
 from runtime.settings import RobotSettings
 
 Array = NDArray[np.float64]
 
 STEP_NS = 1_000_000
-NOISE_BLOCK = 1000  # rows of noise drawn at once: a draw of one row costs as much as forty
 MUSCLE_FAULTS = ("rupture", "overheat")  # what only a muscle can have
-NO_NOISE: Array = np.zeros((0, 0, 0))  # the offsets changed: draw anew
-CREEP_M_S = 0.002  # wire speed beyond which friction at the motor is whole
-LOAD_CELL_OFFSET_N = 1.5  # spread of load cells that nobody tared
 
 
 class PlugError(ValueError):
@@ -55,38 +52,23 @@ class SimulatedRobot:
         self.bank = MuscleBank()
         self.faults = Faults(seed)
         self.chains = {row.name: Chain(row.name, row.baud, self.faults) for row in settings.chain}
-        self._rng = np.random.default_rng([seed, 1])
-        self._noise = NO_NOISE
-        self._noise_row = 0
+        self.sensors = Sensors(settings.simulation, np.random.default_rng([seed, 1]))
         self._modules: dict[str, MuscleModule] = {}
         self._chain_of: dict[str, str] = {}
         self._paths: dict[str, m.MusclePath] = {}  # nominal, of the muscles that are plugged in
         self._shelf: dict[str, _Shelved] = {}
-        # raw readings are off by these: the load cell's offset and where the encoder began
-        self._cell_offset_n = np.zeros(0)
-        self._encoder_offset_m = np.zeros(0)
-        self._motor_friction = settings.simulation.motor_friction
         self._tension_n = np.zeros(0)
-        self._stuck: dict[str, float] = {}  # what a stuck load cell [N] or angle sensor [rad] says
         self._assemble()
 
     # ── time ──────────────────────────────────────────────────────────────────────────────────
 
     def step(self) -> None:
         """One millisecond: sense, run the modules' loops, move."""
-        plant = self.plant
+        plant, drive = self.plant, self.plant.drive
         tension = plant.sense()
-        errors = self._sensor_errors(len(tension))
-        load, length = errors[0], errors[1]  # unpacking takes three times as long
-        load += tension
-        if self._motor_friction:
-            load -= self._motor_friction * tension * np.tanh(plant.drive.speed_m_s / CREEP_M_S)
-        length += plant.wire_length_m
-        for name, reading in self._stuck.items():
-            if name in self._modules:
-                load[plant.wires.index(name)] = reading
-        temperature = self._motor_temperature_degc()
-        speed = self.bank.step(DT_S, load, length, temperature, self.now_ns)
+        load, length = self.sensors.read(plant.wires, tension, plant.wire_length_m, drive.speed_m_s)
+        degc = self._motor_temperature_degc() if self.faults.active else drive.temperature_degc
+        speed = self.bank.step(DT_S, load, length, degc, self.now_ns)
         plant.act(speed, tension)
         self._tension_n = tension
         self.now_ns += STEP_NS
@@ -138,8 +120,7 @@ class SimulatedRobot:
         if shelved:  # switched on anew: it knows its id, and its encoder begins at zero again
             module.restore(shelved.module)
             module.reboot()
-        self._encoder_offset_m[-1] = self.plant.wire_length_m[-1] + self._rng.normal(0.0, 0.01)
-        self._noise = NO_NOISE
+        self.sensors.begin_at(self.plant.wire_length_m[-1])
         return m.Event(
             stamp_ns=self.now_ns,
             process="world",
@@ -172,9 +153,7 @@ class SimulatedRobot:
         self.bank.remove(index)
         self.plant.remove_muscle(name)
         self.faults.clear("rupture", name)  # should it come back, it has a wire again
-        self._cell_offset_n = np.delete(self._cell_offset_n, index)
-        self._encoder_offset_m = np.delete(self._encoder_offset_m, index)
-        self._noise = NO_NOISE
+        self.sensors.remove(index)
         self._tension_n = np.delete(self._tension_n, index)
         return m.Event(
             stamp_ns=self.now_ns,
@@ -232,9 +211,9 @@ class SimulatedRobot:
 
     def _hold_readings(self) -> None:
         """Keep what each stuck sensor read when it got stuck."""
-        held = self._stuck
+        held = self.sensors.stuck
         stuck = [fault.target for fault in self.faults.matching("stuck")]
-        self._stuck = {x: held[x] if x in held else self._reading(x) for x in stuck}
+        self.sensors.stuck = {x: held[x] if x in held else self._reading(x) for x in stuck}
 
     def _told_fault(self, level: str, text: str, target: str) -> m.Event:
         return m.Event(
@@ -296,11 +275,11 @@ class SimulatedRobot:
                 for name, chain in self.chains.items()
             },
             "modules": {name: module.save() for name, module in self._modules.items()},
-            "cell_offset_n": self._cell_offset_n.tolist(),
-            "encoder_offset_m": self._encoder_offset_m.tolist(),
+            "cell_offset_n": self.sensors.cell_offset_n.tolist(),
+            "encoder_offset_m": self.sensors.encoder_offset_m.tolist(),
             "tension_n": self._tension_n.tolist(),
             "faults": [tuple(fault) for fault in self.faults.active],
-            "stuck": dict(self._stuck),
+            "stuck": dict(self.sensors.stuck),
         }
 
     def restore(self, snapshot: dict[str, Any], now_ns: int) -> None:
@@ -323,14 +302,12 @@ class SimulatedRobot:
             self.chains[name].modules.sort(key=lambda module: order.index(module.serial))
         self._shelf = msgspec.convert(snapshot["shelf"], dict[str, _Shelved])
         self._paths = paths
-        self._cell_offset_n = np.array(snapshot["cell_offset_n"])
-        self._encoder_offset_m = np.array(snapshot["encoder_offset_m"])
-        self._noise = NO_NOISE
+        self.sensors.restore(snapshot["cell_offset_n"], snapshot["encoder_offset_m"])
         self._tension_n = np.array(snapshot["tension_n"])
         self.faults.clear()
         for kind, target, amount in snapshot["faults"]:
             self.faults.set(kind, target, amount)
-        self._stuck = dict(snapshot["stuck"])
+        self.sensors.stuck = dict(snapshot["stuck"])
         # the modules heard their master when the snapshot was taken
         self.bank.heard_ns += now_ns - snapshot["now_ns"]
         self.now_ns = now_ns
@@ -354,7 +331,7 @@ class SimulatedRobot:
             self._paths[name] = self.plant.paths[name]
             # calibrated when it was built: zero length at the rest posture, load cell tared
             self.bank.length_zero_m[index] = rest_m[index]
-            self.bank.tension_tare_n[index] = self._cell_offset_n[index]
+            self.bank.tension_tare_n[index] = self.sensors.cell_offset_n[index]
         for number, joint in enumerate(settings.joint):
             self.chains[joint.chain].plug(
                 JointModule(
@@ -365,27 +342,9 @@ class SimulatedRobot:
                 )
             )
 
-    def _sensor_errors(self, count: int) -> Array:
-        """What load cells [N] and encoders [m] are off by in this step, offset and noise: (2, M).
-
-        The caller may write into it: each row is given once.
-        """
-        if self._noise_row >= len(self._noise) or self._noise.shape[2] != count:
-            simulation = self.settings.simulation
-            size = np.array(((simulation.tension_noise_n,), (simulation.length_noise_m,)))
-            offset = np.stack((self._cell_offset_n, -self._encoder_offset_m))
-            self._noise = self._rng.normal(size=(NOISE_BLOCK, 2, count)) * size + offset
-            self._noise_row = 0
-        row: Array = self._noise[self._noise_row]
-        self._noise_row += 1
-        return row
-
     def _motor_temperature_degc(self) -> Array:
-        temperature = self.plant.drive.temperature_degc
-        if not self.faults.active:
-            return temperature
         extra = [self.faults.amount("overheat", name) or 0.0 for name in self.plant.wires]
-        return np.asarray(temperature + extra)
+        return np.asarray(self.plant.drive.temperature_degc + extra)
 
     def _reading(self, name: str) -> float:
         """What a muscle's load cell [N] or a joint's angle sensor [rad] reads, raw."""
@@ -395,10 +354,7 @@ class SimulatedRobot:
         return float(self.bank.tension_n[index] + self.bank.tension_tare_n[index])
 
     def _angle_reading(self, number: int) -> float:
-        if self._stuck and (stuck := self._stuck.get(self.plant.joints[number])) is not None:
-            return stuck
-        noise = self.settings.simulation.angle_noise_rad * self._rng.normal()
-        return float(self.plant.angle_rad[number]) + noise
+        return self.sensors.read_angle(self.plant.joints[number], self.plant.angle_rad.item(number))
 
     def _add_module(self, name: str, chain: str, serial: int, module_id: int) -> MuscleModule:
         limits = self.settings.module
@@ -413,9 +369,7 @@ class SimulatedRobot:
         self.chains[chain].plug(module)
         self._modules[name] = module
         self._chain_of[name] = chain
-        offset = np.random.default_rng(serial).normal(0.0, LOAD_CELL_OFFSET_N)
-        self._cell_offset_n = np.append(self._cell_offset_n, offset)
-        self._encoder_offset_m = np.append(self._encoder_offset_m, 0.0)
+        self.sensors.add(serial)
         self._tension_n = np.append(self._tension_n, 0.0)
         return module
 

@@ -62,15 +62,9 @@ class WireDrive:
         """Take one motor away."""
         self._use(np.delete(self._motors, index))
 
-    def step(self, dt_s: float, command_m_s: Array, tension_n: Array) -> Array:
-        """Follow winding-speed commands for `dt_s`.
-
-        Returns:
-            The wire paid out [m], (M,).
-        """
-        paid_out_m = np.empty(len(self._motors))
-        _wind(self._motors, dt_s, self._limit_m_s, command_m_s, tension_n, paid_out_m)
-        return paid_out_m
+    def step(self, dt_s: float, command_m_s: Array, tension_n: Array, wire_m: Array) -> None:
+        """Follow winding-speed commands for `dt_s`: adds to the lengths of wire, `wire_m`."""
+        _wind(self._motors, dt_s, self._limit_m_s, command_m_s, tension_n, wire_m)
 
     def warm(self, dt_s: float, tension_n: Array) -> None:
         """Let the windings warm or cool for `dt_s`, short against `THERMAL_TIME_S`."""
@@ -85,11 +79,38 @@ class WireDrive:
         self.peak_tension_n = motors["peak_tension_n"]
 
 
-def elastic_tension_n(stretch_m: Array, curve: tuple[float, float, float]) -> Array:
-    """Tension of the elastic element at a stretch; a slack wire carries none. Shape (M,)."""
-    tension = np.empty(len(stretch_m))
-    _stretch(stretch_m, *curve, tension)
-    return tension
+@compiled(NUMBER, NUMBER, NUMBER, NUMBER)
+def elastic_tension_n(stretch_m: float, a: float, b: float, c: float) -> float:
+    """Tension of the elastic element at a stretch; a slack wire carries none."""
+    e = max(stretch_m, 0.0)
+    return ((c * e + b) * e + a) * e
+
+
+@compiled(VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, NUMBER, NUMBER, VECTOR, VECTOR)
+def stretch_wires(
+    path_m: Array,
+    wire_m: Array,
+    stiffness: Array,
+    a: float,
+    b: float,
+    c: float,
+    friction: float,
+    tension_n: Array,
+    friction_n: Array,
+) -> None:
+    """What M wires carry, and how much of it their guides can hold.
+
+    Args:
+        path_m, wire_m: geometric length of the path, and of the wire that is paid out.
+        stiffness: of each elastic element over the usual one's; 0 is a torn wire.
+        a, b, c: the usual elastic curve.
+        friction: at the guides, as a share of the tension.
+        tension_n, friction_n: the results.
+    """
+    for i in range(len(path_m)):
+        tension = elastic_tension_n(path_m[i] - wire_m[i], a, b, c) * stiffness[i]
+        tension_n[i] = tension
+        friction_n[i] = tension * friction
 
 
 def elastic_stretch_m(tension_n: float, curve: tuple[float, float, float]) -> float:
@@ -106,7 +127,7 @@ def _wind(
     limit_m_s: float,
     command_m_s: Array,
     tension_n: Array,
-    paid_out_m: Array,
+    wire_m: Array,
 ) -> None:
     for i in range(len(motors)):
         motor = motors[i]
@@ -114,13 +135,6 @@ def _wind(
         winding = tension_n[i] * (limit_m_s / STALL_TENSION_N) - limit_m_s
         speed = max(motor.speed_m_s + change, min(winding, 0.0))  # at stall it winds no more
         motor.speed_m_s = speed = min(speed, limit_m_s)
-        paid_out_m[i] = speed * dt_s
+        wire_m[i] += speed * dt_s
         motor.peak_speed_m_s = max(motor.peak_speed_m_s, abs(speed))
         motor.peak_tension_n = max(motor.peak_tension_n, tension_n[i])
-
-
-@compiled(VECTOR, NUMBER, NUMBER, NUMBER, VECTOR)
-def _stretch(stretch_m: Array, a: float, b: float, c: float, tension_n: Array) -> None:
-    for i in range(len(stretch_m)):
-        e = max(stretch_m[i], 0.0)
-        tension_n[i] = ((c * e + b) * e + a) * e

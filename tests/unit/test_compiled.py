@@ -10,7 +10,7 @@ import pytest
 from hardware_sim.compiled import INTEGER, NUMBER, VECTOR, compiled
 from hardware_sim.muscle_bank import CHECK_NS, Mode, MuscleBank
 from hardware_sim.muscle_rows import ROWS, Array
-from hardware_sim.wire_drive import LAG_S, STALL_TENSION_N, WireDrive, elastic_tension_n
+from hardware_sim.wire_drive import LAG_S, STALL_TENSION_N, WireDrive, stretch_wires
 from runtime.wire.registers import HardwareError
 
 M = 200
@@ -120,25 +120,32 @@ def test_winding_motors() -> None:
     command, tension = rng.uniform(-0.3, 0.3, M), rng.uniform(0.0, 500.0, M)
     drive.peak_speed_m_s[:] = 0.1
     drive.peak_tension_n[:] = 100.0
-    paid_out = drive.step(DT_S, command, tension)
+    before_m = np.full(M, 0.3)
+    wire_m = before_m.copy()
+    drive.step(DT_S, command, tension, wire_m)
     speed = before + (command - before) * DT_S / (LAG_S + DT_S)
     speed = np.clip(speed, -0.25 * np.maximum(1.0 - tension / STALL_TENSION_N, 0.0), 0.25)
     np.testing.assert_allclose(drive.speed_m_s, speed, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(paid_out, speed * DT_S, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(wire_m - before_m, speed * DT_S, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(drive.peak_speed_m_s, np.maximum(np.abs(speed), 0.1), atol=1e-12)
     np.testing.assert_array_equal(drive.peak_tension_n, np.maximum(tension, 100.0))
 
 
-def test_elastic_elements() -> None:
-    stretch = np.random.default_rng(0).uniform(-0.005, 0.015, M)
-    e = np.maximum(stretch, 0.0)
-    expected = CURVE[0] * e + CURVE[1] * e**2 + CURVE[2] * e**3
-    np.testing.assert_allclose(elastic_tension_n(stretch, CURVE), expected, rtol=1e-12)
+def test_elastic_elements_and_friction_at_the_guides() -> None:
+    rng = np.random.default_rng(0)
+    path, wire = rng.uniform(0.295, 0.315, M), np.full(M, 0.3)
+    stiffness = rng.choice([0.0, 1.0, 2.0], M)
+    tension, friction = np.empty(M), np.empty(M)
+    stretch_wires(path, wire, stiffness, *CURVE, 0.2, tension, friction)
+    e = np.maximum(path - wire, 0.0)
+    expected = (CURVE[0] * e + CURVE[1] * e**2 + CURVE[2] * e**3) * stiffness
+    np.testing.assert_allclose(tension, expected, rtol=1e-12)
+    np.testing.assert_allclose(friction, 0.2 * expected, rtol=1e-12)
 
 
 def test_arrays_of_another_size_are_refused() -> None:
     with pytest.raises(IndexError):
-        WireDrive(3, 0.25, 25.0).step(DT_S, np.zeros(2), np.zeros(3))
+        WireDrive(3, 0.25, 25.0).step(DT_S, np.zeros(2), np.zeros(3), np.zeros(3))
 
 
 def test_where_machine_code_cannot_be_kept_it_is_made_each_time() -> None:

@@ -123,14 +123,14 @@ def test_tension_stays_under_limit(mode: Mode, stretch_m_s: float) -> None:
     peak_n, tension = 0.0, np.zeros(1)
 
     def run(milliseconds: int, speed_m_s: float, start_ms: int) -> None:
-        nonlocal path_m, wire_m, peak_n, tension
+        nonlocal path_m, peak_n, tension
         for now in range(start_ms, start_ms + milliseconds):
             path_m += speed_m_s * 0.001
-            tension = elastic_tension_n(path_m - wire_m, CURVE)
+            tension = np.array([elastic_tension_n(path_m - wire_m[0], *CURVE)])
             peak_n = max(peak_n, float(tension[0]))
             noise: Array = rng.normal(0.0, 0.2, 1)
             command = bank.step(0.001, tension + noise, wire_m, np.array([25.0]), now * MS)
-            wire_m = wire_m + drive.step(0.001, command, tension)
+            drive.step(0.001, command, tension, wire_m)
 
     run(5, 0.0, 0)
     if mode != Mode.OFF:

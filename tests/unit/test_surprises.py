@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from hardware_sim.plant import Plant
-from hardware_sim.robot import CREEP_M_S, SimulatedRobot
+from hardware_sim.robot import SimulatedRobot
+from hardware_sim.sensors import CREEP_M_S
 from hardware_sim.wire_drive import Array, elastic_tension_n
 from runtime.messages import MusclePath, Place
 from runtime.settings import RobotSettings, load_robot
@@ -107,8 +108,9 @@ def test_the_added_muscle_pulls_twice_as_much_at_equal_stretch(tmp_path: Path) -
         tension = plant.sense()
         plant.act(0.002 * (tension - 30.0), tension)
     tension = plant.sense()
-    usual = elastic_tension_n(plant.path_length_m - plant.wire_length_m, curve)
-    np.testing.assert_allclose(tension, usual * [1, 1, 1, 2])
+    stretch = plant.path_length_m - plant.wire_length_m
+    usual = [elastic_tension_n(x, *curve) for x in stretch]
+    np.testing.assert_allclose(tension, np.array(usual) * [1, 1, 1, 2])
     assert tension[3] > 20.0  # wound in by now
     # and the body feels it
     _, jacobian = plant.wires_at(plant.angle_rad)

@@ -22,7 +22,7 @@ DT_S = 0.001
 def run(drive: WireDrive, command: float, tension: float, steps: int) -> None:
     count = len(drive.speed_m_s)
     for _ in range(steps):
-        drive.step(DT_S, np.full(count, command), np.full(count, tension))
+        drive.step(DT_S, np.full(count, command), np.full(count, tension), np.zeros(count))
         drive.warm(DT_S, np.full(count, tension))
 
 
@@ -31,12 +31,12 @@ def run(drive: WireDrive, command: float, tension: float, steps: int) -> None:
     [(-0.01, 0.0), (0.0, 0.0), (0.001, 1.075), (0.004, 8.8), (0.01, 85.0)],
 )
 def test_elastic_curve(stretch_m: float, tension_n: float) -> None:
-    assert elastic_tension_n(np.array([stretch_m]), CURVE)[0] == pytest.approx(tension_n, abs=1e-12)
+    assert elastic_tension_n(stretch_m, *CURVE) == pytest.approx(tension_n, abs=1e-12)
 
 
 def test_elastic_curve_has_a_quadratic_term_too() -> None:
     # 2 * 0.5 + 3 * 0.25 + 4 * 0.125
-    assert elastic_tension_n(np.array([0.5]), (2.0, 3.0, 4.0))[0] == pytest.approx(2.25)
+    assert elastic_tension_n(0.5, 2.0, 3.0, 4.0) == pytest.approx(2.25)
 
 
 @pytest.mark.parametrize(
@@ -50,14 +50,15 @@ def test_inverse_of_the_elastic_curve(tension_n: float, stretch_m: float) -> Non
 def test_inverse_holds_for_curves_of_any_degree(curve: tuple[float, float, float]) -> None:
     for tension in (0.0, 0.5, 20.0, 150.0):
         stretch = elastic_stretch_m(tension, curve)
-        assert elastic_tension_n(np.array([stretch]), curve)[0] == pytest.approx(tension, abs=1e-9)
+        assert elastic_tension_n(stretch, *curve) == pytest.approx(tension, abs=1e-9)
 
 
 def test_speed_follows_its_command_with_a_lag() -> None:
     drive = WireDrive(1, 0.25, 25.0)
-    paid_out = drive.step(DT_S, np.array([0.1]), np.zeros(1))
+    wire_m = np.array([0.3])
+    drive.step(DT_S, np.array([0.1]), np.zeros(1), wire_m)
     assert drive.speed_m_s[0] == pytest.approx(0.1 * DT_S / (LAG_S + DT_S)) == 0.02
-    assert paid_out[0] == pytest.approx(2e-5)
+    assert wire_m[0] == pytest.approx(0.3 + 2e-5, abs=1e-12)
     run(drive, 0.1, 0.0, 3)
     assert drive.speed_m_s[0] == pytest.approx(0.1 * (1 - 0.8**4))
     run(drive, 0.1, 0.0, 100)
@@ -98,7 +99,7 @@ def test_winding_warms_with_the_square_of_tension() -> None:
 
 def test_a_motor_more_is_cold_and_still_and_one_fewer_leaves_the_others() -> None:
     drive = WireDrive(2, 0.25, 25.0)
-    drive.step(DT_S, np.array([0.1, 0.2]), np.array([50.0, 90.0]))
+    drive.step(DT_S, np.array([0.1, 0.2]), np.array([50.0, 90.0]), np.zeros(2))
     drive.warm(DT_S, np.array([50.0, 90.0]))
     speed, temperature = drive.speed_m_s.copy(), drive.temperature_degc.copy()
     drive.add()
