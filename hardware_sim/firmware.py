@@ -8,11 +8,13 @@ from typing import Any
 from hardware_sim.module import JointModule, Module
 from hardware_sim.muscle_bank import Mode, MuscleBank
 from runtime.wire.packet import StatusError
-from runtime.wire.registers import BY_NAME, GOAL_BLOCK, GOALS, PRESENT_BLOCK, Kind, Status
+from runtime.wire.registers import BY_NAME, GOAL_BLOCK, GOALS, PRESENT_BLOCK, PRESENTS, Kind, Status
 
 __all__ = ["JointModule", "Mode", "Module", "MuscleBank", "MuscleModule"]
 
-_BIAS_HIGH_N, _STIFFNESS_HIGH_N_M, _ = (r.high * r.scale for r in GOALS)
+_BIAS_HIGH, _STIFFNESS_HIGH, _ = (r.high for r in GOALS)
+_BIAS_N, _STIFFNESS_N_M, _TARGET_M = (r.scale for r in GOALS)  # of one count
+_LENGTH_M, _TENSION_N, _TEMPERATURE_DEGC, _ = (r.scale for r in PRESENTS)
 _BANK_ROWS = {  # register -> row of the bank that holds it
     "temperature_limit": "temperature_limit_degc",
     "tension_limit": "tension_limit_n",
@@ -21,6 +23,9 @@ _BANK_ROWS = {  # register -> row of the bank that holds it
     "tension_tare": "tension_tare_n",
 }
 _GOAL_ROWS = {"bias_tension": "bias_n", "stiffness": "stiffness_n_m"}
+# written out, as an enum's member takes 0.1 us
+_TARED, _TENSION_CAPPED = int(Status.TARED), int(Status.TENSION_CAPPED)
+_DONE = int(StatusError.NONE)
 
 
 class MuscleModule(Module):
@@ -48,13 +53,11 @@ class MuscleModule(Module):
             return super().read(address, length)
         bank, i = self.bank, self.index  # read all the time: a short way
         try:
-            return PRESENT_BLOCK.pack(
-                (
-                    bank.length_m.item(i),
-                    bank.tension_n.item(i),
-                    bank.temperature_degc.item(i),
-                    self._status(),
-                )
+            return PRESENT_BLOCK.pack_raw(
+                round(bank.length_m.item(i) / _LENGTH_M),
+                round(bank.tension_n.item(i) / _TENSION_N),
+                round(bank.temperature_degc.item(i) / _TEMPERATURE_DEGC),
+                self._status(),
             )
         except struct.error:  # off the scale: the long way clips
             return super().read(address, length)
@@ -63,15 +66,20 @@ class MuscleModule(Module):
         """As `Module.write`."""
         if address != GOAL_BLOCK.address or len(data) != GOAL_BLOCK.length:
             return super().write(address, data)
-        bias, stiffness, target = GOAL_BLOCK.unpack(data)  # written all the time: a short way
-        if bias > _BIAS_HIGH_N or stiffness > _STIFFNESS_HIGH_N_M:
+        bias, stiffness, target = GOAL_BLOCK.unpack_raw(data)  # written all the time: a short way
+        if bias > _BIAS_HIGH or stiffness > _STIFFNESS_HIGH:
             return StatusError.DATA_LIMIT
-        if self._locked:
-            return StatusError.DATA_RANGE
         bank, i = self.bank, self.index
-        bank.bias_n[i], bank.stiffness_n_m[i] = bias, stiffness
-        bank.set_target(i, target)
-        return StatusError.NONE
+        if bank.tripped.item(i):
+            return StatusError.DATA_RANGE
+        bank.bias_n[i], bank.stiffness_n_m[i] = bias * _BIAS_N, stiffness * _STIFFNESS_N_M
+        bank.set_target(i, target * _TARGET_M)
+        return _DONE
+
+    @property
+    def alert(self) -> bool:
+        """As `Module.alert`."""
+        return bool(self.bank.hardware_error.item(self.index))
 
     def reboot(self) -> None:
         """Torque off, goals, latches and errors forgotten; the wire stays braked."""
@@ -94,8 +102,8 @@ class MuscleModule(Module):
         return bool(self.bank.tripped[self.index])
 
     def _status(self) -> int:
-        bits = int(self.bank.mode.item(self.index)) | (Status.TARED if self._tared else 0)
-        return bits | (Status.TENSION_CAPPED if self.bank.capped(self.index) else 0)
+        bits = int(self.bank.mode.item(self.index)) | (_TARED if self._tared else 0)
+        return bits | (_TENSION_CAPPED if self.bank.capped(self.index) else 0)
 
     def _get(self, name: str) -> int:
         bank, i = self.bank, self.index
