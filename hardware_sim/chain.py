@@ -6,10 +6,15 @@ other's answers; noise spoils both ways; a pulled cable takes away all modules b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
+
 from hardware_sim.faults import Faults
 from hardware_sim.module import Module
 from runtime.wire import packet as wire
 from runtime.wire.packet import ALERT, BROADCAST, HEADER, Instruction, StatusError, StatusPacket
+
+Span = tuple[int, int, int]  # id, address, length
 
 BITS_PER_BYTE = 10  # with start and stop bit
 HOP_DELAY_S = 1e-6  # of the line driver of each module that bytes go through
@@ -62,7 +67,8 @@ class Chain:
     def receive(self, data: bytes, now_ns: int) -> bytes:
         """Bytes from the master, however cut -> bytes that the line carries back."""
         data = self.faults.on_line(data, (self.name,))
-        listening = [module for module in self.reachable() if module.baud == self.baud]
+        baud = self.baud
+        listening = [module for module in self.reachable() if module.baud == baud]
         errors = self._decoder.crc_errors
         reply = b""
         packets = self._decoder.feed(data)
@@ -103,9 +109,7 @@ class Chain:
                             module.write(address, data)
                     return b""
                 case Instruction.SYNC_READ | Instruction.FAST_SYNC_READ:
-                    address, length, ids = wire.sync_read_spans(packet.params)
-                    spans = [(i, address, length) for i in ids]
-                    return self._read_many(packet.instruction, spans, modules)
+                    return self._read_many(packet.instruction, _spans(packet.params), modules)
                 case Instruction.BULK_READ | Instruction.FAST_BULK_READ:
                     items = wire.bulk_read_spans(packet.params).items()
                     spans = [(i, address, length) for i, (address, length) in items]
@@ -136,7 +140,7 @@ class Chain:
         return self.faults.on_line(status, (module.name,)) if self.faults.active else status
 
     def _read_many(
-        self, instruction: int, spans: list[tuple[int, int, int]], modules: list[Module]
+        self, instruction: int, spans: Sequence[Span], modules: list[Module]
     ) -> bytes:
         by_id: dict[int, list[Module]] = {}
         for module in modules:
@@ -155,7 +159,7 @@ class Chain:
         return b"".join(line)
 
     def _read_fast(
-        self, spans: list[tuple[int, int, int]], by_id: dict[int, list[Module]]
+        self, spans: Sequence[Span], by_id: dict[int, list[Module]]
     ) -> bytes:
         """One packet to which each module adds its part; it breaks off where one is missing."""
         parts: list[StatusPacket] = []
@@ -172,6 +176,13 @@ class Chain:
         parts += [StatusPacket(0, 0, bytes(length)) for _, _, length in spans[len(parts) :]]
         line = wire.encode(wire.join_fast(parts))
         return line if whole else line[:heard]
+
+
+@lru_cache(maxsize=64)  # a master asks for the same every cycle
+def _spans(params: bytes) -> Sequence[Span]:
+    """What a sync read asks for, in order. ValueError as `sync_read_spans`."""
+    address, length, ids = wire.sync_read_spans(params)
+    return tuple((i, address, length) for i in ids)
 
 
 def _status(module: Module, error: int, params: bytes = b"") -> StatusPacket:

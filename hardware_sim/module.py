@@ -11,12 +11,23 @@ from functools import cache
 from typing import Any
 
 from runtime.wire.packet import StatusError
-from runtime.wire.registers import BAUD_RATES, BY_NAME, GOALS, TABLE, Keep, Kind, Register
+from runtime.wire.registers import (
+    BAUD_RATES,
+    BY_NAME,
+    GOALS,
+    PRESENT_BLOCK,
+    TABLE,
+    Keep,
+    Kind,
+    Register,
+)
 
 _AMBIENT_DEGC = 25
 _MAX_SPAN = 1024  # bytes that one read or write may touch
 _RETURN_DELAY_S = BY_NAME["return_delay"].scale
 _GOALS = {register.name for register in GOALS}
+_ANGLE = BY_NAME["present_angle"]
+_BEHIND_ANGLE = bytes(PRESENT_BLOCK.length - _ANGLE.size)  # of the block: joints have none of it
 _ENDLESS = {"present_position", "present_angle", "present_length", "target_length"}
 
 
@@ -209,6 +220,12 @@ class JointModule(Module):
     ) -> None:
         super().__init__(serial, module_id, name)
         self._angle_rad = angle_rad
+
+    def read(self, address: int, length: int) -> bytes:
+        """As `Module.read`."""
+        if address != PRESENT_BLOCK.address or length != PRESENT_BLOCK.length:
+            return super().read(address, length)
+        return self._bytes(_ANGLE) + _BEHIND_ANGLE  # read all the time: a short way
 
     def _get(self, name: str) -> int:
         if name in ("present_angle", "present_position"):
