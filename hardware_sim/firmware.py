@@ -12,9 +12,9 @@ from runtime.wire.registers import BY_NAME, GOAL_BLOCK, GOALS, PRESENT_BLOCK, PR
 
 __all__ = ["JointModule", "Mode", "Module", "MuscleBank", "MuscleModule"]
 
-_BIAS_HIGH, _STIFFNESS_HIGH, _ = (r.high for r in GOALS)
+_BIAS_HIGH, _STIFFNESS_HIGH = (r.high for r in GOALS[:2])
 _BIAS_N, _STIFFNESS_N_M, _TARGET_M = (r.scale for r in GOALS)  # of one count
-_LENGTH_M, _TENSION_N, _TEMPERATURE_DEGC, _ = (r.scale for r in PRESENTS)
+_LENGTH_M, _TENSION_N, _TEMPERATURE_DEGC = (r.scale for r in PRESENTS[:3])
 _BANK_ROWS = {  # register -> row of the bank that holds it
     "temperature_limit": "temperature_limit_degc",
     "tension_limit": "tension_limit_n",

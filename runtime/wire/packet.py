@@ -125,6 +125,8 @@ class Decoder:
     what came before it was noise or a packet that broke off.
     """
 
+    __slots__ = ("_rest", "crc_errors", "discarded")
+
     def __init__(self) -> None:
         self.crc_errors = 0  # packets whose checksum failed or that broke off
         self.discarded = 0  # bytes that belonged to no intact packet
