@@ -23,9 +23,7 @@ _BANK_ROWS = {  # register -> row of the bank that holds it
     "tension_tare": "tension_tare_n",
 }
 _GOAL_ROWS = {"bias_tension": "bias_n", "stiffness": "stiffness_n_m"}
-# written out, as an enum's member takes 0.1 us
-_TARED, _TENSION_CAPPED = int(Status.TARED), int(Status.TENSION_CAPPED)
-_DONE = int(StatusError.NONE)
+_TARED, _DONE = int(Status.TARED), int(StatusError.NONE)  # an enum's member takes 0.1 us
 
 
 class MuscleModule(Module):
@@ -51,13 +49,13 @@ class MuscleModule(Module):
         """As `Module.read`."""
         if address != PRESENT_BLOCK.address or length != PRESENT_BLOCK.length:
             return super().read(address, length)
-        bank, i = self.bank, self.index  # read all the time: a short way
-        try:
+        length_m, tension_n, temperature_degc, status = self.bank.present(self.index)
+        try:  # read all the time: a short way
             return PRESENT_BLOCK.pack_raw(
-                round(bank.length_m.item(i) / _LENGTH_M),
-                round(bank.tension_n.item(i) / _TENSION_N),
-                round(bank.temperature_degc.item(i) / _TEMPERATURE_DEGC),
-                self._status(),
+                round(length_m / _LENGTH_M),
+                round(tension_n / _TENSION_N),
+                round(temperature_degc / _TEMPERATURE_DEGC),
+                status | _TARED if self._tared else status,
             )
         except struct.error:  # off the scale: the long way clips
             return super().read(address, length)
@@ -101,10 +99,6 @@ class MuscleModule(Module):
     def _locked(self) -> bool:
         return bool(self.bank.tripped[self.index])
 
-    def _status(self) -> int:
-        bits = int(self.bank.mode.item(self.index)) | (_TARED if self._tared else 0)
-        return bits | (_TENSION_CAPPED if self.bank.capped(self.index) else 0)
-
     def _get(self, name: str) -> int:
         bank, i = self.bank, self.index
         match name:
@@ -124,7 +118,7 @@ class MuscleModule(Module):
             case "present_tension":
                 value = bank.tension_n[i]
             case "status":
-                return self._status()
+                return bank.present(i)[3] | (_TARED if self._tared else 0)
             case _ if name in _BANK_ROWS:
                 value = getattr(bank, _BANK_ROWS[name])[i]
             case _ if name in _GOAL_ROWS:

@@ -146,16 +146,16 @@ class Decoder:
             if not 3 <= length <= MAX_LENGTH or module_id in (253, 255):
                 start = self._discard(start, start + len(HEADER))
                 continue
-            body, end = start + _PREFIX, start + _PREFIX + length
-            plain = buffer.find(_UNSTUFFED, body, end - 2) < 0
-            nested = -1 if plain else buffer.find(HEADER, body, end - 2)
+            end = start + _PREFIX + length
+            plain = buffer.find(_UNSTUFFED, start + _PREFIX, end - 2) < 0
+            nested = -1 if plain else buffer.find(HEADER, start + _PREFIX, end - 2)
             if nested >= 0:  # another packet begins inside this one: this one broke off
                 self.crc_errors += 1
                 start = self._discard(start, nested)
                 continue
             if len(buffer) < end:
                 break
-            packet = _decode(module_id, buffer[start:end], plain)
+            packet = _decode(buffer, start, end, plain)
             if packet is None:
                 self.crc_errors += 1
                 start = self._discard(start, start + len(HEADER))
@@ -185,11 +185,15 @@ def _tail(buffer: bytes) -> int:
     return next((n for n in (3, 2, 1) if buffer.endswith(HEADER[:n])), 0)
 
 
-def _decode(module_id: int, data: bytes, plain: bool) -> Packet | None:
+def _decode(buffer: bytes, start: int, end: int, plain: bool) -> Packet | None:
     """One whole packet (`plain`: nothing in it is stuffed); None: checksum or form is wrong."""
-    if _CRC.pack(crc16(data[:-2])) != data[-2:]:
+    tail = end - _CRC.size
+    if crc16(buffer[start:tail]) != _CRC.unpack_from(buffer, tail)[0]:
         return None
-    body = data[_PREFIX:-2] if plain else data[_PREFIX:-2].replace(_STUFFED, _UNSTUFFED)
+    body = buffer[start + _PREFIX : tail]
+    if not plain:
+        body = body.replace(_STUFFED, _UNSTUFFED)
+    module_id = buffer[start + len(HEADER)]
     if body[0] != _STATUS:
         return InstructionPacket(module_id, body[0], body[1:])
     if len(body) < 2:
