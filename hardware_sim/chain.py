@@ -42,7 +42,7 @@ class Chain:
 
     def plug(self, module: Module) -> None:
         """Add a module at the tail; it comes with the chain's baud rate."""
-        module.baud = self.baud
+        module.listen_at(self.baud)
         self.modules.append(module)
 
     def unplug(self, serial: int) -> Module:

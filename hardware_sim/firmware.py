@@ -128,8 +128,8 @@ class MuscleModule(Module):
         return round(float(value) / BY_NAME[name].scale)
 
     def _set(self, name: str, raw: int) -> None:
+        super()._set(name, raw)
         value, bank, i = raw * BY_NAME[name].scale, self.bank, self.index
-        self._raw[name] = raw
         match name:
             case "torque_enable":
                 if raw != self._torque:
