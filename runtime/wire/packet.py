@@ -109,8 +109,7 @@ def encode_status(module_id: int, error: int, params: bytes) -> bytes:
 
 
 def _frame(module_id: int, body: bytes) -> bytes:
-    if _UNSTUFFED in body:
-        body = body.replace(_UNSTUFFED, _STUFFED)
+    body = body.replace(_UNSTUFFED, _STUFFED)
     length = len(body) + 2
     if length > MAX_LENGTH or not (0 <= module_id <= MAX_ID or module_id == BROADCAST):
         raise ValueError(f"no packet can have id {module_id} and length {length}")
@@ -147,15 +146,14 @@ class Decoder:
                 start = self._discard(start, start + len(HEADER))
                 continue
             end = start + _PREFIX + length
-            plain = buffer.find(_UNSTUFFED, start + _PREFIX, end - 2) < 0
-            nested = -1 if plain else buffer.find(HEADER, start + _PREFIX, end - 2)
+            nested = buffer.find(HEADER, start + _PREFIX, end - 2)
             if nested >= 0:  # another packet begins inside this one: this one broke off
                 self.crc_errors += 1
                 start = self._discard(start, nested)
                 continue
             if len(buffer) < end:
                 break
-            packet = _decode(buffer, start, end, plain)
+            packet = _decode(buffer, start, end)
             if packet is None:
                 self.crc_errors += 1
                 start = self._discard(start, start + len(HEADER))
@@ -172,8 +170,8 @@ class Decoder:
         """Forget a packet that has begun: its rest will not come any more."""
         if self._rest:
             self.crc_errors += 1
-        self._discard(0, len(self._rest))
-        self._rest = b""
+            self._discard(0, len(self._rest))
+            self._rest = b""
 
     def _discard(self, start: int, end: int) -> int:
         self.discarded += end - start
@@ -185,14 +183,12 @@ def _tail(buffer: bytes) -> int:
     return next((n for n in (3, 2, 1) if buffer.endswith(HEADER[:n])), 0)
 
 
-def _decode(buffer: bytes, start: int, end: int, plain: bool) -> Packet | None:
-    """One whole packet (`plain`: nothing in it is stuffed); None: checksum or form is wrong."""
+def _decode(buffer: bytes, start: int, end: int) -> Packet | None:
+    """One whole packet, or None when its checksum or form is wrong."""
     tail = end - _CRC.size
     if crc16(buffer[start:tail]) != _CRC.unpack_from(buffer, tail)[0]:
         return None
-    body = buffer[start + _PREFIX : tail]
-    if not plain:
-        body = body.replace(_STUFFED, _UNSTUFFED)
+    body = buffer[start + _PREFIX : tail].replace(_STUFFED, _UNSTUFFED)
     module_id = buffer[start + len(HEADER)]
     if body[0] != _STATUS:
         return InstructionPacket(module_id, body[0], body[1:])

@@ -90,8 +90,12 @@ class Reference:
             self.target_m += reach
             self.wanted_m = max(self.wanted_m, self.target_m)
             return
-        target = min(max(self.wanted_m, self.target_m - reach), self.target_m + reach)
+        low, high = self.target_m - reach, self.target_m + reach
+        target = self.wanted_m
+        if not low <= target <= high:
+            target = low if target < low else high
         if self.stiffness_n_m > 0.0:
             lowest = length_m - (self.ceiling_n - self.bias_n) / self.stiffness_n_m
-            target = max(target, min(lowest, self.target_m + reach))
+            if target < lowest:
+                target = min(lowest, high)
         self.target_m = target
