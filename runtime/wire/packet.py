@@ -189,7 +189,7 @@ def _decode(buffer: bytes, start: int, end: int) -> Packet | None:
     if crc16(buffer[start:tail]) != _CRC.unpack_from(buffer, tail)[0]:
         return None
     body = buffer[start + _PREFIX : tail].replace(_STUFFED, _UNSTUFFED)
-    module_id = buffer[start + len(HEADER)]
+    module_id = buffer[start + 4]
     if body[0] != _STATUS:
         return InstructionPacket(module_id, body[0], body[1:])
     if len(body) < 2:
