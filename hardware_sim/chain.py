@@ -6,15 +6,21 @@ other's answers; noise spoils both ways; a pulled cable takes away all modules b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
+
 from hardware_sim.faults import Faults
 from hardware_sim.module import Module
 from runtime.wire import packet as wire
 from runtime.wire.packet import ALERT, BROADCAST, HEADER, Instruction, StatusError, StatusPacket
 
+Span = tuple[int, int, int]  # id, address, length
+
 BITS_PER_BYTE = 10  # with start and stop bit
 HOP_DELAY_S = 1e-6  # of the line driver of each module that bytes go through
 
 _READ_LEVEL = 1  # status return level from which reads are answered; pings always, the rest at 2
+_DONE, _NO_ACCESS = int(StatusError.NONE), int(StatusError.ACCESS)
 _LEVEL: dict[int, int] = {Instruction.PING: 0, Instruction.READ: _READ_LEVEL}
 
 
@@ -36,7 +42,7 @@ class Chain:
 
     def plug(self, module: Module) -> None:
         """Add a module at the tail; it comes with the chain's baud rate."""
-        module.baud = self.baud
+        module.listen_at(self.baud)
         self.modules.append(module)
 
     def unplug(self, serial: int) -> Module:
@@ -61,7 +67,8 @@ class Chain:
     def receive(self, data: bytes, now_ns: int) -> bytes:
         """Bytes from the master, however cut -> bytes that the line carries back."""
         data = self.faults.on_line(data, (self.name,))
-        listening = [module for module in self.reachable() if module.baud == self.baud]
+        baud = self.baud
+        listening = [module for module in self.reachable() if module.baud == baud]
         errors = self._decoder.crc_errors
         reply = b""
         packets = self._decoder.feed(data)
@@ -94,20 +101,19 @@ class Chain:
     def _serve(self, packet: wire.InstructionPacket, modules: list[Module]) -> bytes:
         try:
             match packet.instruction:
+                case Instruction.SYNC_WRITE:
+                    address, values = wire.sync_write_spans(packet.params)
+                    for module in modules:
+                        data = values.get(module.id)
+                        if data is not None:
+                            module.write(address, data)
+                    return b""
                 case Instruction.SYNC_READ | Instruction.FAST_SYNC_READ:
-                    address, length, ids = wire.sync_read_spans(packet.params)
-                    spans = [(i, address, length) for i in ids]
-                    return self._read_many(packet.instruction, spans, modules)
+                    return self._read_many(packet.instruction, _spans(packet.params), modules)
                 case Instruction.BULK_READ | Instruction.FAST_BULK_READ:
                     items = wire.bulk_read_spans(packet.params).items()
                     spans = [(i, address, length) for i, (address, length) in items]
                     return self._read_many(packet.instruction, spans, modules)
-                case Instruction.SYNC_WRITE:
-                    address, values = wire.sync_write_spans(packet.params)
-                    for module in modules:
-                        if module.id in values:
-                            module.write(address, values[module.id])
-                    return b""
                 case Instruction.BULK_WRITE:
                     bulk = wire.bulk_write_spans(packet.params)
                     for module in modules:
@@ -128,31 +134,32 @@ class Chain:
     def _answers(self, packet: wire.InstructionPacket, modules: list[Module]) -> bytes:
         """What the line carries when these modules, all on one id, answer a packet at once."""
         statuses = ((module, _answer(module, packet)) for module in modules)
-        return _together([self._voice(module, status) for module, status in statuses if status])
+        return _together([self._voice(module, wire.encode(s)) for module, s in statuses if s])
 
-    def _voice(self, module: Module, status: StatusPacket) -> bytes:
-        return self.faults.on_line(wire.encode(status), (module.name,))
+    def _voice(self, module: Module, status: bytes) -> bytes:
+        return self.faults.on_line(status, (module.name,)) if self.faults.active else status
 
     def _read_many(
-        self, instruction: int, spans: list[tuple[int, int, int]], modules: list[Module]
+        self, instruction: int, spans: Sequence[Span], modules: list[Module]
     ) -> bytes:
         by_id: dict[int, list[Module]] = {}
         for module in modules:
             if module.status_return_level >= _READ_LEVEL:
                 by_id.setdefault(module.id, []).append(module)
-        if instruction in (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ):
+        if instruction != Instruction.SYNC_READ and instruction != Instruction.BULK_READ:
             return self._read_fast(spans, by_id)
-        line = b""
+        line = []
         for module_id, address, length in spans:
-            voices = [
-                self._voice(module, _status(module, *_read(module, address, length)))
-                for module in by_id.get(module_id, ())
-            ]
-            line += _together(voices)
-        return line
+            voices = []
+            for module in by_id.get(module_id, ()):
+                data = module.read(address, length)
+                error = (_DONE if data else _NO_ACCESS) | (ALERT if module.alert else 0)
+                voices.append(self._voice(module, wire.encode_status(module_id, error, data)))
+            line.append(_together(voices))
+        return b"".join(line)
 
     def _read_fast(
-        self, spans: list[tuple[int, int, int]], by_id: dict[int, list[Module]]
+        self, spans: Sequence[Span], by_id: dict[int, list[Module]]
     ) -> bytes:
         """One packet to which each module adds its part; it breaks off where one is missing."""
         parts: list[StatusPacket] = []
@@ -169,6 +176,13 @@ class Chain:
         parts += [StatusPacket(0, 0, bytes(length)) for _, _, length in spans[len(parts) :]]
         line = wire.encode(wire.join_fast(parts))
         return line if whole else line[:heard]
+
+
+@lru_cache(maxsize=64)  # a master asks for the same every cycle
+def _spans(params: bytes) -> Sequence[Span]:
+    """What a sync read asks for, in order. ValueError as `sync_read_spans`."""
+    address, length, ids = wire.sync_read_spans(params)
+    return tuple((i, address, length) for i in ids)
 
 
 def _status(module: Module, error: int, params: bytes = b"") -> StatusPacket:
@@ -220,7 +234,7 @@ def _obey(module: Module, instruction: int, params: bytes) -> tuple[int, bytes]:
 
 def _read(module: Module, address: int, length: int) -> tuple[int, bytes]:
     data = module.read(address, length)
-    return (StatusError.NONE if data else StatusError.ACCESS), data
+    return (_DONE if data else _NO_ACCESS), data
 
 
 def _together(voices: list[bytes]) -> bytes:

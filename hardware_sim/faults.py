@@ -35,17 +35,17 @@ class ActiveFault(NamedTuple):
 
 
 class Faults:
-    """What is broken now."""
+    """What is broken now.
+
+    Attributes:
+        active: all faults, in the order in which they were set.
+    """
 
     def __init__(self, seed: int = 0) -> None:
         self.seed = seed
+        self.active: list[ActiveFault] = []
         self._active: dict[tuple[str, str], ActiveFault] = {}
         self._random: dict[tuple[str, str], random.Random] = {}
-
-    @property
-    def active(self) -> list[ActiveFault]:
-        """All faults, in the order in which they were set."""
-        return list(self._active.values())
 
     def set(self, kind: str, target: str, amount: float = 0.0) -> None:
         """Break something; a corrupt, drop, delay, stuck or overheat of amount 0 is mended.
@@ -66,13 +66,14 @@ class Faults:
             return
         key = (kind, target)
         self._active[key] = ActiveFault(kind, target, amount)
+        self.active = list(self._active.values())
         self._random.setdefault(key, random.Random(f"{self.seed}:{kind}:{target}"))
 
     def matching(self, kind: str = "", target: str = "") -> list[ActiveFault]:
         """Faults of this kind and target; "" is any."""
         return [
             fault
-            for fault in self._active.values()
+            for fault in self.active
             if kind in ("", fault.kind) and target in ("", fault.target)
         ]
 
@@ -80,6 +81,7 @@ class Faults:
         """Mend what has this kind and target; "" is any."""
         for fault in self.matching(kind, target):
             del self._active[fault.kind, fault.target]
+        self.active = list(self._active.values())
 
     def amount(self, kind: str, target: str) -> float | None:
         """The amount of a fault; None while that is whole."""
@@ -88,7 +90,7 @@ class Faults:
 
     def on_line(self, data: bytes, targets: Iterable[str]) -> bytes:
         """What becomes of a packet's bytes on their way past these targets; b"" when lost."""
-        if not data or not self._active:
+        if not data or not self.active:
             return data
         for target in targets:
             drop = self.amount("drop", target)

@@ -8,11 +8,13 @@ from typing import Any
 from hardware_sim.module import JointModule, Module
 from hardware_sim.muscle_bank import Mode, MuscleBank
 from runtime.wire.packet import StatusError
-from runtime.wire.registers import BY_NAME, GOAL_BLOCK, GOALS, PRESENT_BLOCK, Kind, Status
+from runtime.wire.registers import BY_NAME, GOAL_BLOCK, GOALS, PRESENT_BLOCK, PRESENTS, Kind, Status
 
 __all__ = ["JointModule", "Mode", "Module", "MuscleBank", "MuscleModule"]
 
-_BIAS_HIGH_N, _STIFFNESS_HIGH_N_M, _ = (r.high * r.scale for r in GOALS)
+_BIAS_HIGH, _STIFFNESS_HIGH = (r.high for r in GOALS[:2])
+_BIAS_N, _STIFFNESS_N_M, _TARGET_M = (r.scale for r in GOALS)  # of one count
+_LENGTH_M, _TENSION_N, _TEMPERATURE_DEGC = (r.scale for r in PRESENTS[:3])
 _BANK_ROWS = {  # register -> row of the bank that holds it
     "temperature_limit": "temperature_limit_degc",
     "tension_limit": "tension_limit_n",
@@ -21,6 +23,7 @@ _BANK_ROWS = {  # register -> row of the bank that holds it
     "tension_tare": "tension_tare_n",
 }
 _GOAL_ROWS = {"bias_tension": "bias_n", "stiffness": "stiffness_n_m"}
+_TARED, _DONE = int(Status.TARED), int(StatusError.NONE)  # an enum's member takes 0.1 us
 
 
 class MuscleModule(Module):
@@ -46,15 +49,13 @@ class MuscleModule(Module):
         """As `Module.read`."""
         if address != PRESENT_BLOCK.address or length != PRESENT_BLOCK.length:
             return super().read(address, length)
-        bank, i = self.bank, self.index  # read all the time: a short way
-        try:
-            return PRESENT_BLOCK.pack(
-                (
-                    bank.length_m.item(i),
-                    bank.tension_n.item(i),
-                    bank.temperature_degc.item(i),
-                    self._status(),
-                )
+        length_m, tension_n, temperature_degc, status = self.bank.present(self.index)
+        try:  # read all the time: a short way
+            return PRESENT_BLOCK.pack_raw(
+                round(length_m / _LENGTH_M),
+                round(tension_n / _TENSION_N),
+                round(temperature_degc / _TEMPERATURE_DEGC),
+                status | _TARED if self._tared else status,
             )
         except struct.error:  # off the scale: the long way clips
             return super().read(address, length)
@@ -63,15 +64,20 @@ class MuscleModule(Module):
         """As `Module.write`."""
         if address != GOAL_BLOCK.address or len(data) != GOAL_BLOCK.length:
             return super().write(address, data)
-        bias, stiffness, target = GOAL_BLOCK.unpack(data)  # written all the time: a short way
-        if bias > _BIAS_HIGH_N or stiffness > _STIFFNESS_HIGH_N_M:
+        bias, stiffness, target = GOAL_BLOCK.unpack_raw(data)  # written all the time: a short way
+        if bias > _BIAS_HIGH or stiffness > _STIFFNESS_HIGH:
             return StatusError.DATA_LIMIT
-        if self._locked:
-            return StatusError.DATA_RANGE
         bank, i = self.bank, self.index
-        bank.bias_n[i], bank.stiffness_n_m[i] = bias, stiffness
-        bank.set_target(i, target)
-        return StatusError.NONE
+        if bank.tripped.item(i):
+            return StatusError.DATA_RANGE
+        bank.bias_n[i], bank.stiffness_n_m[i] = bias * _BIAS_N, stiffness * _STIFFNESS_N_M
+        bank.set_target(i, target * _TARGET_M)
+        return _DONE
+
+    @property
+    def alert(self) -> bool:
+        """As `Module.alert`."""
+        return bool(self.bank.hardware_error.item(self.index))
 
     def reboot(self) -> None:
         """Torque off, goals, latches and errors forgotten; the wire stays braked."""
@@ -93,10 +99,6 @@ class MuscleModule(Module):
     def _locked(self) -> bool:
         return bool(self.bank.tripped[self.index])
 
-    def _status(self) -> int:
-        bits = int(self.bank.mode.item(self.index)) | (Status.TARED if self._tared else 0)
-        return bits | (Status.TENSION_CAPPED if self.bank.capped(self.index) else 0)
-
     def _get(self, name: str) -> int:
         bank, i = self.bank, self.index
         match name:
@@ -116,7 +118,7 @@ class MuscleModule(Module):
             case "present_tension":
                 value = bank.tension_n[i]
             case "status":
-                return self._status()
+                return bank.present(i)[3] | (_TARED if self._tared else 0)
             case _ if name in _BANK_ROWS:
                 value = getattr(bank, _BANK_ROWS[name])[i]
             case _ if name in _GOAL_ROWS:
@@ -126,8 +128,8 @@ class MuscleModule(Module):
         return round(float(value) / BY_NAME[name].scale)
 
     def _set(self, name: str, raw: int) -> None:
+        super()._set(name, raw)
         value, bank, i = raw * BY_NAME[name].scale, self.bank, self.index
-        self._raw[name] = raw
         match name:
             case "torque_enable":
                 if raw != self._torque:

@@ -11,12 +11,23 @@ from functools import cache
 from typing import Any
 
 from runtime.wire.packet import StatusError
-from runtime.wire.registers import BAUD_RATES, BY_NAME, GOALS, TABLE, Keep, Kind, Register
+from runtime.wire.registers import (
+    BAUD_RATES,
+    BY_NAME,
+    GOALS,
+    PRESENT_BLOCK,
+    TABLE,
+    Keep,
+    Kind,
+    Register,
+)
 
 _AMBIENT_DEGC = 25
 _MAX_SPAN = 1024  # bytes that one read or write may touch
 _RETURN_DELAY_S = BY_NAME["return_delay"].scale
 _GOALS = {register.name for register in GOALS}
+_ANGLE = BY_NAME["present_angle"]
+_BEHIND_ANGLE = bytes(PRESENT_BLOCK.length - _ANGLE.size)  # of the block: joints have none of it
 _ENDLESS = {"present_position", "present_angle", "present_length", "target_length"}
 
 
@@ -26,6 +37,10 @@ class Module:
     Attributes:
         serial: unique, for ever.
         name: of the muscle or joint, for faults and for the log; the firmware does not know it.
+        id: its address on the line.
+        baud: baud rate [1/s] at which it listens.
+        return_delay_s: pause before it answers [s].
+        status_return_level: 0: answers pings alone; 1: reads, too; 2: everything that asks it alone.
         link_errors: packets with a wrong checksum that it heard.
         pending: (address, data) of a registered write, waiting for its action.
     """
@@ -40,30 +55,11 @@ class Module:
         self._raw = {r.name: r.default for r in _table(self.kind) if r.keep is not Keep.READ_ONLY}
         self._raw["id"] = module_id
         self._torque = False
+        self._settle()
 
-    @property
-    def id(self) -> int:
-        """Its address on the line."""
-        return self._raw["id"]
-
-    @property
-    def baud(self) -> int:
-        """Baud rate [1/s] at which it listens."""
-        return BAUD_RATES[self._raw["baud_rate"]]
-
-    @baud.setter
-    def baud(self, baud: int) -> None:
-        self._raw["baud_rate"] = BAUD_RATES.index(baud)
-
-    @property
-    def return_delay_s(self) -> float:
-        """Pause before it answers [s]."""
-        return self._raw["return_delay"] * _RETURN_DELAY_S
-
-    @property
-    def status_return_level(self) -> int:
-        """0: answers pings alone; 1: reads, too; 2: everything that asks it alone."""
-        return self._raw["status_return_level"]
+    def listen_at(self, baud: int) -> None:
+        """Set its baud rate [1/s]."""
+        self._set("baud_rate", BAUD_RATES.index(baud))
 
     @property
     def alert(self) -> bool:
@@ -131,6 +127,7 @@ class Module:
         for register in _table(self.kind):
             if register.keep is Keep.RAM:
                 self._raw[register.name] = register.default
+        self._settle()
 
     def factory_reset(self, option: int) -> bool:
         """FF: all; 01: all but the id; 02: all but id and baud rate. False: no such option."""
@@ -160,6 +157,7 @@ class Module:
         self.link_errors = state["link_errors"]
         self._torque = state["torque"]
         self._raw.update(state["registers"])
+        self._settle()
 
     @property
     def _locked(self) -> bool:
@@ -182,6 +180,15 @@ class Module:
 
     def _set(self, name: str, raw: int) -> None:
         self._raw[name] = raw
+        self._settle()
+
+    def _settle(self) -> None:
+        """Take out of the registers what is looked at with every packet."""
+        raw = self._raw
+        self.id = raw["id"]
+        self.baud = BAUD_RATES[raw["baud_rate"]]
+        self.return_delay_s = raw["return_delay"] * _RETURN_DELAY_S
+        self.status_return_level = raw["status_return_level"]
 
     def _bytes(self, register: Register) -> bytes:
         bits = 8 * register.size
@@ -209,6 +216,12 @@ class JointModule(Module):
     ) -> None:
         super().__init__(serial, module_id, name)
         self._angle_rad = angle_rad
+
+    def read(self, address: int, length: int) -> bytes:
+        """As `Module.read`."""
+        if address != PRESENT_BLOCK.address or length != PRESENT_BLOCK.length:
+            return super().read(address, length)
+        return self._bytes(_ANGLE) + _BEHIND_ANGLE  # read all the time: a short way
 
     def _get(self, name: str) -> int:
         if name in ("present_angle", "present_position"):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware_sim.compiled import INTEGER, NUMBER, VECTOR, compiled, records
-from hardware_sim.muscle_rows import MUSCLE, ROWS, Array, MuscleRows
+from hardware_sim.muscle_rows import MUSCLE, ROWS, Array, MuscleRows, picker
 from runtime.wire.registers import HardwareError, Status
 
 # The elastic element stiffens with tension, so the loop's gain falls with it: a slack wire is wound
@@ -49,6 +49,20 @@ class Mode(IntEnum):
     HOLDING = Status.HOLDING  # watchdog or load cell: braked, tension capped
     STOPPING = Status.STOPPING
     STOPPED = Status.STOPPED
+
+
+_FOLLOWING, _TENSION_CAPPED = int(Mode.FOLLOWING), int(Status.TENSION_CAPPED)
+_PRESENT = picker(
+    "bias_n",
+    "stiffness_n_m",
+    "target_length_m",
+    "tension_limit_n",
+    "tension_n",
+    "length_m",
+    "temperature_degc",
+    "mode",
+    "derating",
+)
 
 
 class MuscleBank(MuscleRows):
@@ -103,17 +117,20 @@ class MuscleBank(MuscleRows):
         _run_loops(self._table, dt_s, tension_n, length_m, self._speed_m_s)
         return self._speed_m_s
 
-    def capped(self, index: int) -> bool:
-        """Whether the stiffness law asks for more tension than is allowed."""
-        stretch = self.length_m.item(index) - self.target_length_m.item(index)
-        wanted = self.bias_n.item(index) + self.stiffness_n_m.item(index) * stretch
-        return wanted > self._ceiling_n(index)
+    def present(self, index: int) -> tuple[float, float, float, int]:
+        """Length [m], tension [N], temperature [degC] and `Status` of one module."""
+        bias, stiffness, target, limit, tension, length, temperature, mode, derating = (
+            _PRESENT.unpack_from(self._memory, index * _PRESENT.size)
+        )
+        # the stiffness law asks for more tension than is allowed
+        capped = bias + stiffness * (length - target) > GUARD * limit * derating
+        return length, tension, temperature, int(mode) | (_TENSION_CAPPED if capped else 0)
 
     # ── what a module is told ────────────────────────────────────────────────────────────────
 
     def set_target(self, index: int, length_m: float) -> None:
         """A new target length; how fast it moved is measured where it was obeyed."""
-        obeyed = self.mode.item(index) == Mode.FOLLOWING and self.stiffness_n_m.item(index) > 0.0
+        obeyed = self.mode.item(index) == _FOLLOWING and self.stiffness_n_m.item(index) > 0.0
         since_ns = self.target_since_ns.item(index)
         sent_ns = self.sent_ns or self.now_ns
         if not obeyed:

@@ -5,6 +5,7 @@ The table lies in memory module by module, as `_run_loops` in `muscle_bank.py` g
 
 from __future__ import annotations
 
+from struct import Struct
 from typing import Any, Protocol
 
 import numpy as np
@@ -39,6 +40,11 @@ ROWS = {  # row of the table -> its value in a new module
     "target_from_m": 0.0,
 }
 MUSCLE = np.dtype([(name, np.float64) for name in ROWS])
+
+
+def picker(*names: str) -> Struct:
+    """Unpacks these rows, which are in the order of `ROWS`, of one module from the memory."""
+    return Struct("<" + "".join("d" if name in names else "8x" for name in ROWS))
 
 
 class _Indexed(Protocol):
@@ -110,5 +116,6 @@ class MuscleRows:
 
     def _use(self, table: NDArray[np.void]) -> None:
         self._table = table
+        self._memory = table.view(np.uint8).data
         for name in ROWS:
             setattr(self, name, table[name])

@@ -28,6 +28,7 @@ MAX_LENGTH = 4096  # of the length field: a sync write to 252 modules is half of
 _UNSTUFFED, _STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
 _HEAD = Struct("<4sBH")
 _PREFIX = _HEAD.size
+_CRC = Struct("<H")
 _SPAN = Struct("<HH")
 _BULK = Struct("<BHH")
 
@@ -97,17 +98,23 @@ Packet = InstructionPacket | StatusPacket
 def encode(packet: Packet) -> bytes:
     """The packet's bytes on the line. ValueError: an id or a size that no packet can have."""
     if type(packet) is StatusPacket:
-        body = bytes((_STATUS, packet.error)) + packet.params
-    else:
-        assert isinstance(packet, InstructionPacket)
-        body = bytes((packet.instruction,)) + packet.params
-    if _UNSTUFFED in body:
-        body = body.replace(_UNSTUFFED, _STUFFED)
+        return encode_status(packet.id, packet.error, packet.params)
+    assert isinstance(packet, InstructionPacket)
+    return _frame(packet.id, bytes((packet.instruction,)) + packet.params)
+
+
+def encode_status(module_id: int, error: int, params: bytes) -> bytes:
+    """As `encode`, of a `StatusPacket`."""
+    return _frame(module_id, bytes((_STATUS, error)) + params)
+
+
+def _frame(module_id: int, body: bytes) -> bytes:
+    body = body.replace(_UNSTUFFED, _STUFFED)
     length = len(body) + 2
-    if length > MAX_LENGTH or not (0 <= packet.id <= MAX_ID or packet.id == BROADCAST):
-        raise ValueError(f"no packet can have id {packet.id} and length {length}")
-    data = _HEAD.pack(HEADER, packet.id, length) + body
-    return data + crc16(data).to_bytes(2, "little")
+    if length > MAX_LENGTH or not (0 <= module_id <= MAX_ID or module_id == BROADCAST):
+        raise ValueError(f"no packet can have id {module_id} and length {length}")
+    data = _HEAD.pack(HEADER, module_id, length) + body
+    return data + _CRC.pack(crc16(data))
 
 
 class Decoder:
@@ -116,6 +123,8 @@ class Decoder:
     Never raises on any input. An intact packet is given as soon as its last byte is in, also when
     what came before it was noise or a packet that broke off.
     """
+
+    __slots__ = ("_rest", "crc_errors", "discarded")
 
     def __init__(self) -> None:
         self.crc_errors = 0  # packets whose checksum failed or that broke off
@@ -128,8 +137,8 @@ class Decoder:
         packets: list[Packet] = []
         start = 0  # everything before it has been dealt with
         while (found := buffer.find(HEADER, start)) >= 0:
-            self.discarded += found - start
-            start = found
+            if found > start:
+                start = self._discard(start, found)
             if len(buffer) - start < _PREFIX:
                 break
             _, module_id, length = _HEAD.unpack_from(buffer, start)
@@ -144,7 +153,7 @@ class Decoder:
                 continue
             if len(buffer) < end:
                 break
-            packet = _decode(buffer[start:end])
+            packet = _decode(buffer, start, end)
             if packet is None:
                 self.crc_errors += 1
                 start = self._discard(start, start + len(HEADER))
@@ -161,8 +170,8 @@ class Decoder:
         """Forget a packet that has begun: its rest will not come any more."""
         if self._rest:
             self.crc_errors += 1
-        self._discard(0, len(self._rest))
-        self._rest = b""
+            self._discard(0, len(self._rest))
+            self._rest = b""
 
     def _discard(self, start: int, end: int) -> int:
         self.discarded += end - start
@@ -174,18 +183,18 @@ def _tail(buffer: bytes) -> int:
     return next((n for n in (3, 2, 1) if buffer.endswith(HEADER[:n])), 0)
 
 
-def _decode(data: bytes) -> Packet | None:
+def _decode(buffer: bytes, start: int, end: int) -> Packet | None:
     """One whole packet, or None when its checksum or form is wrong."""
-    if crc16(data[:-2]) != int.from_bytes(data[-2:], "little"):
+    tail = end - _CRC.size
+    if crc16(buffer[start:tail]) != _CRC.unpack_from(buffer, tail)[0]:
         return None
-    body = data[_PREFIX:-2]
-    if _STUFFED in body:
-        body = body.replace(_STUFFED, _UNSTUFFED)
+    body = buffer[start + _PREFIX : tail].replace(_STUFFED, _UNSTUFFED)
+    module_id = buffer[start + 4]
     if body[0] != _STATUS:
-        return InstructionPacket(data[4], body[0], body[1:])
+        return InstructionPacket(module_id, body[0], body[1:])
     if len(body) < 2:
         return None
-    return StatusPacket(data[4], body[1], body[2:])
+    return StatusPacket(module_id, body[1], body[2:])
 
 
 # ── one module ────────────────────────────────────────────────────────────────────────────────

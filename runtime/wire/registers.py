@@ -146,6 +146,8 @@ class Block:
             codes += code if register.signed else code.upper()
         self.length = end - self.address
         self._struct = Struct("<" + codes)
+        self.pack_raw = self._struct.pack  # raw integers, in the registers' order
+        self.unpack_raw = self._struct.unpack_from
         self._names = tuple(register.name for register in self.registers)
         self._scales = tuple(register.scale for register in self.registers)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from math import isfinite
 
 from runtime.messages import ChainCommand
@@ -79,10 +80,10 @@ class CommandGate:
         if command.lease_ns <= 0 or age_ns > command.lease_ns:
             return "its lease has run out"
         columns = (command.bias_n, command.stiffness_n_m, command.target_length_m)
-        if any(len(column) != len(command.muscles) for column in columns):
+        if {*map(len, columns)} != {len(command.muscles)}:
             return "it has not one value for each muscle"
-        if not all(isfinite(value) for column in columns for value in column):
+        if not all(map(isfinite, chain.from_iterable(columns))):
             return "it has values that are no numbers"
-        if any(abs(target) > MAX_TARGET_M for target in command.target_length_m):
+        if max(map(abs, command.target_length_m), default=0.0) > MAX_TARGET_M:
             return f"a target length is beyond {MAX_TARGET_M:.0f} m"
         return ""

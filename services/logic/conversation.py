@@ -6,7 +6,7 @@ is over; it yields None to wait for the next cycle. The driver runs several of t
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -121,22 +121,24 @@ def read_serial(module_id: int) -> Conversation[int]:
 
 def read_block(module_id: int, block: Block) -> Conversation[dict[str, float]]:
     """The values of registers that lie together."""
+    return block.decode((yield from read_bytes(module_id, block)))
+
+
+def read_bytes(module_id: int, block: Block) -> Conversation[bytes]:
+    """As `read_block`, as they lie there."""
     status = yield from ask(wire.read(module_id, block.address, block.length))
-    return block.decode(_whole(status, block.length))
+    return _whole(status, block.length)
 
 
 def write(module_id: int, name: str, value: float) -> Conversation[StatusPacket]:
     """Set one register."""
     register = BY_NAME[name]
-    packet = wire.write(module_id, register.address, register.encode(value))
-    return (yield from ask(packet))
+    return (yield from write_bytes(module_id, register.address, register.encode(value)))
 
 
-def write_block(
-    module_id: int, block: Block, values: Mapping[str, float]
-) -> Conversation[StatusPacket]:
+def write_bytes(module_id: int, address: int, data: bytes) -> Conversation[StatusPacket]:
     """Set registers that lie together."""
-    return (yield from ask(wire.write(module_id, block.address, block.encode(values))))
+    return (yield from ask(wire.write(module_id, address, data)))
 
 
 def _whole(status: StatusPacket, length: int) -> bytes:

@@ -17,8 +17,9 @@ from services.logic.conversation import (
     RefusedError,
     read,
     read_block,
+    read_bytes,
     write,
-    write_block,
+    write_bytes,
 )
 from services.logic.reference import JOIN_BIAS_N
 from services.logic.roster import Module
@@ -47,7 +48,7 @@ def write_limits(module: Module) -> Conversation[bool]:
     if same and hottest == round(limits.temperature_limit_degc):
         return False
     yield from write(module.id, "torque_enable", 0)
-    yield from write_block(module.id, LIMITS, wanted)
+    yield from write_bytes(module.id, LIMITS.address, LIMITS.encode(wanted))
     yield from write(module.id, "temperature_limit", limits.temperature_limit_degc)
     return True
 
@@ -65,15 +66,14 @@ def take_over(module: Module, chain: Chain, stiffness_n_m: float) -> Conversatio
     yield from write(module.id, "bus_watchdog", 0)
     if (yield from write_limits(module)):
         torque = 0
-    present = yield from read_block(module.id, PRESENT_BLOCK)
-    module.take(present.values())
+    module.take((yield from read_bytes(module.id, PRESENT_BLOCK)))
     reference = module.reference
     reference.bias_n = min(goals["bias_tension"], reference.ceiling_n)
     reference.stiffness_n_m = goals["stiffness"]
     if not torque and not reference.stiffness_n_m:
         reference.stiffness_n_m = stiffness_n_m
     reference.hold(module.reading, module.tension_n)
-    yield from write_block(module.id, GOAL_BLOCK, reference.values())
+    yield from write_bytes(module.id, GOAL_BLOCK.address, reference.encode())
     if not torque:
         yield from write(module.id, "torque_enable", 1)
     yield from write(module.id, "bus_watchdog", chain.watchdog_ms * 1e-3)
@@ -101,9 +101,9 @@ def prepare_slack(module: Module, chain: Chain) -> Conversation[None]:
             f"its load cell reads {tare:.1f} N with a slack wire: check the load cell"
         )
     yield from write(module.id, "tension_tare", tare)
-    module.take((yield from read_block(module.id, PRESENT_BLOCK)).values())
+    module.take((yield from read_bytes(module.id, PRESENT_BLOCK)))
     module.reference.slacken(module.reading)
-    yield from write_block(module.id, GOAL_BLOCK, module.reference.values())
+    yield from write_bytes(module.id, GOAL_BLOCK.address, module.reference.encode())
     yield from write(module.id, "torque_enable", 1)
     yield from write(module.id, "bus_watchdog", chain.watchdog_ms * 1e-3)
 
@@ -140,5 +140,5 @@ def zero_length(module: Module) -> Conversation[None]:
     yield from write(module.id, "length_zero", zero)
     module.reading = 0.0
     module.reference.slacken(0.0)
-    yield from write_block(module.id, GOAL_BLOCK, module.reference.values())
+    yield from write_bytes(module.id, GOAL_BLOCK.address, module.reference.encode())
     yield from write(module.id, "torque_enable", 1)

@@ -14,6 +14,8 @@ from runtime.wire.packet import Decoder, Packet, StatusPacket, encode
 class Exchange:
     """One request and what has come back of it."""
 
+    __slots__ = ("_decoder", "arrived", "doubled", "sent_ns", "sequence", "statuses")
+
     def __init__(self, sequence: int, sent_ns: int) -> None:
         self.sequence = sequence
         self.sent_ns = sent_ns
@@ -31,7 +33,7 @@ class Exchange:
         """Add bytes that came back."""
         self.arrived = True
         for packet in self._decoder.feed(data):
-            if isinstance(packet, StatusPacket):
+            if type(packet) is StatusPacket:
                 if packet.id in self.statuses:
                     self.doubled.add(packet.id)
                 self.statuses[packet.id] = packet

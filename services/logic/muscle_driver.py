@@ -41,6 +41,7 @@ RESCUE_NS = 100_000_000  # between two attempts to clear a tripped watchdog
 BLINKS = 10  # of an LED that is to be found
 BLINK_S = 0.5  # on and off again, of robot time
 
+_HOLDING = int(Status.HOLDING)
 _WATCHDOG = BY_NAME["bus_watchdog"]
 
 
@@ -177,11 +178,11 @@ class MuscleDriver:
             return
         if not muscles:
             return
-        tripped = [muscle for muscle in muscles if self._needs_rescue(muscle)]
+        tripped = [x for x in muscles if x.status & _HOLDING and self._needs_rescue(x)]
         for muscle in tripped:
             muscle.rescued_ns = self._now_ns
             muscle.hold()
-        values = {x.id: GOAL_BLOCK.encode(x.reference.values()) for x in muscles}
+        values = {x.id: x.reference.encode() for x in muscles}
         goals = wire.sync_write(GOAL_BLOCK.address, GOAL_BLOCK.length, values)
         if tripped:
             yield self._set_watchdog(tripped, 0.0)
@@ -195,11 +196,10 @@ class MuscleDriver:
             yield from stop
             yield goals
 
-    def _needs_rescue(self, muscle: Module) -> bool:
+    def _needs_rescue(self, holding: Module) -> bool:
         return (
-            bool(muscle.status & Status.HOLDING)
-            and not muscle.alert  # a broken load cell holds, too, and no watchdog lets it go
-            and self._now_ns - muscle.rescued_ns > RESCUE_NS
+            not holding.alert  # a broken load cell holds, too, and no watchdog lets it go
+            and self._now_ns - holding.rescued_ns > RESCUE_NS
         )
 
     def _set_watchdog(self, muscles: list[Module], timeout_s: float) -> InstructionPacket:

@@ -9,12 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from runtime.settings import Module as Limits
+from runtime.wire.registers import GOAL_BLOCK, GOALS
 
 DERATE_1_S = 0.1  # an overheated muscle gives up a tenth of its tension limit a second, to a third
 DERATE_MIN = 0.3
 COOLED_DEGC = 5.0  # below the limit: full tension is allowed again
 LONGEST_M = 2000.0  # what fits the register
 JOIN_BIAS_N = 5.0  # winds slack in and moves no joint
+
+_BIAS_N, _STIFFNESS_N_M, _TARGET_M = (register.scale for register in GOALS)  # of one count
 
 
 @dataclass(slots=True)
@@ -30,13 +33,14 @@ class Reference:
     hot: bool = False
     over: bool = False  # measured tension is above the limit
 
-    def values(self) -> dict[str, float]:
-        """By name of the goal registers."""
-        return {
-            "bias_tension": self.bias_n,
-            "stiffness": self.stiffness_n_m,
-            "target_length": min(max(self.target_m, -LONGEST_M), LONGEST_M),
-        }
+    def encode(self) -> bytes:
+        """What the block of goal registers shall hold."""
+        target_m = min(max(self.target_m, -LONGEST_M), LONGEST_M)
+        return GOAL_BLOCK.pack_raw(
+            round(self.bias_n / _BIAS_N),
+            round(self.stiffness_n_m / _STIFFNESS_N_M),
+            round(target_m / _TARGET_M),
+        )
 
     @property
     def ceiling_n(self) -> float:
@@ -73,20 +77,25 @@ class Reference:
 
     def step(self, dt_s: float, length_m: float, tension_n: float, temperature_degc: float) -> None:
         """Let the target move for `dt_s`, and keep the limits."""
-        limit_degc = self.limits.temperature_limit_degc
+        limits = self.limits
+        limit_degc = limits.temperature_limit_degc
         self.hot = temperature_degc > limit_degc - (COOLED_DEGC if self.hot else 0.0)
         if self.hot or self.derating < 1.0:
             change = -DERATE_1_S * dt_s if self.hot else DERATE_1_S * dt_s
             self.derating = min(max(self.derating + change, DERATE_MIN), 1.0)
             self.bias_n = min(self.bias_n, self.ceiling_n)
-        reach = self.limits.target_speed_m_s * dt_s
-        self.over = tension_n > self.limits.tension_limit_n
+        reach = limits.target_speed_m_s * dt_s
+        self.over = tension_n > limits.tension_limit_n
         if self.over:
             self.target_m += reach
             self.wanted_m = max(self.wanted_m, self.target_m)
             return
-        target = min(max(self.wanted_m, self.target_m - reach), self.target_m + reach)
+        low, high = self.target_m - reach, self.target_m + reach
+        target = self.wanted_m
+        if not low <= target <= high:
+            target = low if target < low else high
         if self.stiffness_n_m > 0.0:
             lowest = length_m - (self.ceiling_n - self.bias_n) / self.stiffness_n_m
-            target = max(target, min(lowest, self.target_m + reach))
+            if target < lowest:
+                target = min(lowest, high)
         self.target_m = target

@@ -18,7 +18,7 @@ from services.logic.roster import Module, Roster
 SLACK_N = 5.0
 
 _STOP = BY_NAME["stop"]
-_LATCHED = Status.STOPPING | Status.STOPPED
+_LATCHED = int(Status.STOPPING | Status.STOPPED)
 
 
 class Stopping:

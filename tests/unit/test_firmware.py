@@ -348,7 +348,7 @@ def test_factory_reset_spares_what_it_says() -> None:
     bench = Bench()
     for option, module_id, baud in ((2, 9, 57_600), (1, 9, 3_000_000), (0xFF, 1, 3_000_000)):
         bench.write("id", 9)
-        bench.module.baud = 57_600
+        bench.module.listen_at(57_600)
         bench.write("temperature_limit", 60)
         assert bench.module.factory_reset(option)
         assert (bench.module.id, bench.module.baud) == (module_id, baud)
