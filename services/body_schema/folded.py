@@ -71,13 +71,13 @@ class Folded:
         self._last = np.column_stack((w6[outputs] * scale_out[:, None], offset))  # (R, 201)
 
     def __call__(self, a: Array, b: Array) -> Array:
-        """The answer to one sample (R,), or to many: (B, N) or (B, M) each -> (B, R)."""
+        """One sample: y (R,); or many, (B, N) or (B, M) each -> (B, R), equal but for rounding."""
         h = self._entered(a, b)
         for w in self._inner:
             h = h.dot(w)
             np.tanh(h, h)
-        # many: equal to the single ones but for rounding
-        return np.vecdot(self._last, h) if h.ndim == 1 else h.dot(self._last.T)
+        y: Array = np.vecdot(self._last, h) if h.ndim == 1 else h.dot(self._last.T)
+        return y
 
     def with_jacobian(self, a: Array, b: Array) -> tuple[Array, Array]:
         """One sample: y (R,) and dy/da (R, len(a)). Forward mode: h and its slopes go together."""
@@ -90,7 +90,8 @@ class Folded:
             h, slopes = d[:1], d[1:]
             np.tanh(h, h)
             slopes -= slopes * (h * h)
-        return np.vecdot(self._last, d[0]), self._last.dot(slopes.T)
+        y: Array = np.vecdot(self._last, d[0])
+        return y, self._last.dot(slopes.T)
 
     def _entered(self, a: Array, b: Array) -> Array:
         """What the first layer makes of it: (201,) or (B, 201)."""
@@ -98,7 +99,7 @@ class Folded:
         x[..., 0] = 1.0
         x[..., self._places[0]] = a
         x[..., self._places[1]] = b
-        h = x.dot(self._first)
+        h: Array = x.dot(self._first)
         np.tanh(h, h)
         return h
 

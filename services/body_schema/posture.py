@@ -81,4 +81,4 @@ def _known(schema: Schema) -> _Known:
 
 def _inverse(a: Array) -> Array:
     """Of a matrix; one joint, the most usual case, needs no LAPACK."""
-    return 1.0 / a if len(a) == 1 else np.linalg.inv(a)
+    return np.asarray(1.0 / a if len(a) == 1 else np.linalg.inv(a))
