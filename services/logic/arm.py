@@ -61,6 +61,7 @@ class Arm:
         self._bodies: dict[str, ChainBody] = {}
         self._muscles: dict[str, ModuleInfo] = {}  # by name, the first on the chains
         self._states: dict[str, ChainState] = {}
+        self._felt: dict[str, tuple[float, float]] | None = None  # what they say, once asked for
         self._angles: dict[str, tuple[float, int]] = {}  # joint -> angle [rad], stamp
         self._off_m: dict[str, float] = {}  # length that is felt, less what the model says
         self._correction = 0.0  # how much of that is in effect, 0 to 1
@@ -74,6 +75,7 @@ class Arm:
         """Take in what the drivers say."""
         if isinstance(message, ChainState):
             self._states[message.chain] = message
+            self._felt = None
         elif isinstance(message, JointState):
             for name, angle in zip(message.joints, message.angle_rad, strict=True):
                 self._angles[name] = (angle, message.stamp_ns)
@@ -112,11 +114,13 @@ class Arm:
 
     def felt(self) -> dict[str, tuple[float, float]]:
         """Length [m] and tension [N] of every muscle that is there."""
-        return {
-            name: (state.length_m[i], state.tension_n[i])
-            for state in self._states.values()
-            for i, name in enumerate(state.muscles)
-        }
+        if self._felt is None:
+            self._felt = {
+                name: (state.length_m[i], state.tension_n[i])
+                for state in self._states.values()
+                for i, name in enumerate(state.muscles)
+            }
+        return self._felt
 
     def modules(self) -> Iterator[ModuleInfo]:
         """All modules on all chains."""
@@ -194,12 +198,12 @@ class Arm:
         felt = self.felt()
         theta, floor = self.path.now()
         usable = self._usable(felt)
-        there = np.array([name in usable for name in self.schema.muscles])
-        ceiling = np.where(there, self.settings.control.tension_ceiling_n, 0.0)
+        most_n = self.settings.control.tension_ceiling_n
+        ceiling = np.array([most_n if name in usable else 0.0 for name in self.schema.muscles])
         self.guests.feel(self.schema, self.angle_rad, felt, dt_s)
         self.plan = self.planned(theta, np.minimum(floor, ceiling), ceiling)
         self._feel_errors(felt, dt_s)
-        self._aim(felt, dt_s)
+        self._aim(felt, usable, dt_s)
 
     def planned(self, theta: Array, floor_n: Array, ceiling_n: Array) -> Plan:
         """Tensions and lengths for a posture (N,) between floor and ceiling, both (M,)."""
@@ -241,14 +245,15 @@ class Arm:
             else:
                 self._off_m[name] = last + (off - last) * share
 
-    def _aim(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
+    def _aim(self, felt: dict[str, tuple[float, float]], usable: set[str], dt_s: float) -> None:
         """Targets for all muscles: the plan, the fading offset, and never faster than the motor."""
         assert self.schema is not None and self.plan is not None
         stiffness = self.settings.control.stiffness_n_m
+        plans = zip(self.plan.tension_n.tolist(), self.plan.length_m.tolist(), strict=True)
         planned = {
-            name: (float(self.plan.tension_n[i]), float(self.plan.length_m[i]))
-            for i, name in enumerate(self.schema.muscles)
-            if name in self._usable(felt)
+            name: plan
+            for name, plan in zip(self.schema.muscles, plans, strict=True)
+            if name in usable
         }
         if self._offset_m is None:
             # f_ref = f_plan + k (l - target) shall equal the tension that is there now
@@ -279,7 +284,6 @@ class Arm:
             planned.pop(name, None)
         stiffness = self.settings.control.stiffness_n_m
         for chain, state in self._states.items():
-            known = [name in planned for name in state.muscles]
             yield ChainCommand(
                 stamp_ns=now_ns,
                 chain=chain,
@@ -287,10 +291,15 @@ class Arm:
                 lease_ns=LEASE_NS,
                 muscles=state.muscles,
                 bias_n=tuple(
-                    planned.get(name, self.guests.tension_n(name)) for name in state.muscles
+                    [
+                        planned[name] if name in planned else self.guests.tension_n(name)
+                        for name in state.muscles
+                    ]
                 ),
-                stiffness_n_m=tuple(stiffness if k else 0.0 for k in known),
-                target_length_m=tuple(self._target_m[name] for name in state.muscles),
+                stiffness_n_m=tuple(
+                    [stiffness if name in planned else 0.0 for name in state.muscles]
+                ),
+                target_length_m=tuple([self._target_m[name] for name in state.muscles]),
             )
 
     def _usable(self, felt: dict[str, tuple[float, float]]) -> set[str]:
