@@ -70,10 +70,10 @@ def plan(
     for _ in range(ROUNDS):
         length, g = schema.lengths_and_jacobian(theta_ref, f)
         move = _smallest_tensions(g, torque_required_nm, low, high, sharing) - f
-        size = float(np.abs(move).max())
+        size = max(map(abs, move.tolist()))
         if size < CONVERGED_N:
             break
-        swings = float(move @ last_move) < 0.0
+        swings = move.dot(last_move) < 0.0
         step = 0.5 * step if swings else min(1.4 * step, 1.0)
         last_move = move
         f = f + step * move
@@ -81,7 +81,7 @@ def plan(
         tension_n=f,
         length_m=length,
         jacobian=g,
-        residual_torque_nm=torque_required_nm + f @ g,
+        residual_torque_nm=torque_required_nm + f.dot(g),
         converged=size < CONVERGED_N,
     )
 
@@ -93,8 +93,8 @@ def _smallest_tensions(g: Array, torque_nm: Array, low: Array, high: Array, shar
     """
     m = len(low)
     weighted = TORQUE_WEIGHT * g  # (M, N)
-    h = weighted @ g.T
-    linear = weighted @ torque_nm
+    h = weighted.dot(g.T)
+    linear = weighted.dot(torque_nm)
     if sharing == "peak":
         peak = _least_peak(PEAK_FIRMNESS * h, PEAK_FIRMNESS * linear, low, high)
         high = np.maximum(low, np.minimum(high, PEAK_MARGIN * peak))

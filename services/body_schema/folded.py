@@ -1,80 +1,111 @@
-"""One mask of the network made ready to serve: everything constant is folded into biases.
+"""One mask of the network made ready to serve: everything constant is folded into its weights.
 
 The groups that a mask leaves out are zero and the mask itself is constant, so their columns
-vanish; scales and references are taken into the first and last layer. What remains is a plain
-network from SI units to SI units that numpy evaluates in about 15 us.
+vanish; scales and references are taken into the first and last layer. Every layer has one unit
+more, which is always one and carries the biases. What remains is products and tanh, from SI units
+to SI units, that numpy evaluates in about 10 us.
 
-The first layer is summed column by column and the last row by row, so that a column or row of
-zeros that growth adds cannot change a rounding: the grown network's old outputs are bit-identical.
+A grown network's old outputs are bit-identical: a new muscle's inputs come last, where zeros stood
+before to fill up a block, and each output is a sum of its own.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from services.body_schema.network import Array, Weights
+from services.body_schema.network import Array, Mask, Weights
 
 Indices = NDArray[np.intp]
 
+ALWAYS_ONE = 50.0  # tanh of it is 1 to the last bit
+BLOCK = 8  # a product adds up so many rows, or a part of them, before it goes on
+
+
+def entrances(mask: Mask, joints: int, muscles: int) -> list[slice]:
+    """Rows of the first layer at which each given group enters: joints, then muscle by muscle.
+
+    Row 0 is for what is always one.
+    """
+    begin, each = 1 + joints * mask.theta, mask.tension + mask.length
+    own = [slice(begin + k, begin + each * muscles, each) for k in range(each)]
+    return [slice(1, begin)] * mask.theta + own
+
+
+def inner_layers(weights: Weights) -> tuple[Array, ...]:
+    """The layers between the first and the last, the same for all masks: (in + 1, out + 1)."""
+    return tuple(_with_ones(w, b) for w, b in weights[1:-1])
+
 
 class Folded:
-    """y = network(x), x (K,) and y (R,) in SI units."""
+    """y = network(a, b): two of theta (N,), f (M,) and l (M,) -> y (R,), all in SI units."""
 
     def __init__(
         self,
         weights: Weights,
+        inner: tuple[Array, ...],  # `inner_layers` of the same weights
         *,
-        inputs: Indices,  # (K,) which columns are given
-        scale_in: Array,  # (K,)
-        offset_in: Array,  # (K,): subtracted before scaling
+        inputs: Sequence[slice],  # columns of each given group
+        places: Sequence[slice],  # its `entrances`
+        scale_in: Array,  # (columns,)
+        offset_in: Array,  # (columns,): subtracted before scaling
         constant: Array,  # (columns,): the inputs that do not change, scaled
         outputs: Indices,  # (R,) which rows are asked for
         scale_out: Array,  # (R,)
         offset_out: Array,  # (R,)
     ) -> None:
-        (w1, b1), *middle, (w6, b6) = weights
-        self._first = np.ascontiguousarray(w1[:, inputs].T / scale_in[:, None])  # (K, 200)
-        moved = (self._first * offset_in[:, None]).sum(axis=0)
-        self._bias = b1 + (w1.T * constant[:, None]).sum(axis=0) - moved  # (200,)
-        self._middle = tuple(middle)
-        self._last = np.ascontiguousarray(w6[outputs] * scale_out[:, None])  # (R, 200)
-        self._offset = b6[outputs] * scale_out + offset_out  # (R,)
+        w1, b1 = weights[0]
+        w6, b6 = weights[-1]
+        rows = -(-max(place.stop for place in places) // BLOCK) * BLOCK
+        first = np.zeros((rows, len(b1) + 1))
+        first[0] = np.append(b1 + (w1.T * constant[:, None]).sum(axis=0), ALWAYS_ONE)
+        for columns, place in zip(inputs, places, strict=True):
+            first[place, :-1] = w1[:, columns].T / scale_in[columns, None]
+            first[0] -= (first[place] * offset_in[columns, None]).sum(axis=0)
+        self._places = tuple(places)
+        self._first = first  # (rows, 201)
+        self._inner = inner
+        offset = b6[outputs] * scale_out + offset_out
+        self._last = np.column_stack((w6[outputs] * scale_out[:, None], offset))  # (R, 201)
 
-    def __call__(self, x: Array) -> Array:
-        """The answer to one sample: x (K,) -> (R,)."""
-        h = np.add.reduce(self._first * x[:, None], axis=0)
-        h += self._bias
-        np.tanh(h, h)
-        for w, b in self._middle:
-            h = w.dot(h)
-            h += b
+    def __call__(self, a: Array, b: Array) -> Array:
+        """One sample: y (R,); or many, (B, N) or (B, M) each -> (B, R), equal but for rounding."""
+        h = self._entered(a, b)
+        for w in self._inner:
+            h = h.dot(w)
             np.tanh(h, h)
-        y: Array = np.vecdot(self._last, h)
-        y += self._offset
+        y: Array = np.vecdot(self._last, h) if h.ndim == 1 else h.dot(self._last.T)
         return y
 
-    def with_jacobian(self, x: Array, columns: int) -> tuple[Array, Array]:
-        """One sample: x (K,) -> y (R,) and dy/dx for the first `columns` inputs (R, columns)."""
-        h = np.add.reduce(self._first * x[:, None], axis=0)
-        h += self._bias
-        np.tanh(h, h)
-        d = self._first[:columns].T * (1.0 - h * h)[:, None]  # forward mode: (units, columns)
-        for w, b in self._middle:
-            h = w.dot(h)
-            h += b
+    def with_jacobian(self, a: Array, b: Array) -> tuple[Array, Array]:
+        """One sample: y (R,) and dy/da (R, len(a)). Forward mode: h and its slopes go together."""
+        d = np.empty((1 + len(a), self._first.shape[1]))  # h, then dh/da
+        h, slopes = d[:1], d[1:]
+        h[:] = self._entered(a, b)
+        np.multiply(self._first[self._places[0]], 1.0 - h * h, slopes)
+        for w in self._inner:
+            d = d.dot(w)
+            h, slopes = d[:1], d[1:]
             np.tanh(h, h)
-            d = w.dot(d)
-            d *= (1.0 - h * h)[:, None]
-        y: Array = np.vecdot(self._last, h)
-        y += self._offset
-        jacobian: Array = self._last.dot(d)
-        return y, jacobian
+            slopes -= slopes * (h * h)
+        y: Array = np.vecdot(self._last, d[0])
+        return y, self._last.dot(slopes.T)
 
-    def batch(self, x: Array) -> Array:
-        """Many samples: x (B, K) -> (B, R). Equal to the single call but for rounding."""
-        h = np.tanh(x @ self._first + self._bias)
-        for w, b in self._middle:
-            h = np.tanh(h @ w.T + b)
-        y: Array = h @ self._last.T + self._offset
-        return y
+    def _entered(self, a: Array, b: Array) -> Array:
+        """What the first layer makes of it: (201,) or (B, 201)."""
+        x = np.zeros((*a.shape[:-1], len(self._first)))
+        x[..., 0] = 1.0
+        x[..., self._places[0]] = a
+        x[..., self._places[1]] = b
+        h: Array = x.dot(self._first)
+        np.tanh(h, h)
+        return h
+
+
+def _with_ones(w: Array, b: Array) -> Array:
+    """One layer with the unit that is always one, last on either side."""
+    layer = np.zeros((w.shape[1] + 1, w.shape[0] + 1))
+    layer[:-1, :-1], layer[-1, :-1], layer[-1, -1] = w.T, b, ALWAYS_ONE
+    return layer

@@ -12,6 +12,7 @@ widens it: by the residual's mean square for each degree of freedom that the joi
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -40,30 +41,44 @@ def posture(schema: Schema, f: Array, length: Array) -> Posture:
 
     A direction that no wire tells is held at mask 011's answer, with the joint's range as sigma.
     """
-    sigma = np.maximum(schema.length_sigma_m, FINEST_M)
+    known = _known(schema)
     start = theta = schema.estimate(f, length)
-    low, high = schema.theta_range_rad.T
-    vague = (high - low) ** -2.0
     for _ in range(ROUNDS):
         predicted, jacobian = schema.lengths_and_jacobian(theta, f)
-        residual, slope = (length - predicted) / sigma, jacobian / sigma[:, None]
-        weighted = slope.T * _weights(residual)
-        information = weighted @ slope
-        information.flat[:: len(theta) + 1] += vague
-        covariance = np.linalg.inv(information)
-        step = covariance @ (weighted @ residual + vague * (start - theta))
-        step = np.minimum(np.maximum(step, -LONGEST_RAD), LONGEST_RAD)
+        off = length - predicted
+        weighted = jacobian.T * ((FREEDOM + 1.0) / (known.spread_m2 + off * off))
+        covariance = _inverse(weighted.dot(jacobian) + known.vague)
+        step = covariance.dot(weighted.dot(off) + known.vague.dot(start - theta))
+        longest = max(map(abs, step.tolist()))
+        if longest > LONGEST_RAD:
+            step = np.clip(step, -LONGEST_RAD, LONGEST_RAD)
         theta = theta + step
-        if np.abs(step).max() < DONE_RAD:
-            predicted = predicted + jacobian @ step  # over so short a step the network is straight
+        if longest < DONE_RAD:
+            predicted = predicted + jacobian.dot(step)  # over so short a step it is straight
             break
     else:
         predicted = schema.lengths(theta, f)
-    residual = (length - predicted) / sigma
+    residual = (length - predicted) / known.sigma_m
     freedom = max(1, len(f) - len(theta))
-    level = max(1.0, float(residual @ residual) / freedom)
+    level = max(1.0, float(residual.dot(residual)) / freedom)
     return Posture(theta, np.sqrt(level * covariance.diagonal()), predicted, residual)
 
 
-def _weights(residual: Array) -> Array:
-    return np.asarray((FREEDOM + 1.0) / (FREEDOM + residual**2))
+class _Known(NamedTuple):
+    """What is the same for all readings of N joints and M muscles."""
+
+    sigma_m: Array  # (M,) usual size of a residual
+    spread_m2: Array  # (M,) at which a residual's square halves its weight
+    vague: Array  # (N, N) [1/rad^2]: information that the joints' ranges alone are
+
+
+@lru_cache(maxsize=4)
+def _known(schema: Schema) -> _Known:
+    sigma = np.maximum(schema.length_sigma_m, FINEST_M)
+    low, high = schema.theta_range_rad.T
+    return _Known(sigma, FREEDOM * sigma**2, np.diag((high - low) ** -2.0))
+
+
+def _inverse(a: Array) -> Array:
+    """Of a matrix; one joint, the most usual case, needs no LAPACK."""
+    return np.asarray(1.0 / a if len(a) == 1 else np.linalg.inv(a))

@@ -22,7 +22,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from services.body_schema.folded import Folded
+from services.body_schema.folded import Folded, entrances, inner_layers
 from services.body_schema.network import (
     ANGLES,
     LENGTHS,
@@ -99,7 +99,7 @@ class Schema:
 
     def lengths(self, theta: Array, f: Array) -> Array:
         """Mask 110. theta (N,) [rad], f (M,) [N] -> l (M,) [m]; or (B, N), (B, M) -> (B, M)."""
-        return _ask(self._lengths, theta, f)
+        return self._lengths(theta, f)
 
     def lengths_jacobian(self, theta: Array, f: Array) -> Array:
         """dl/dtheta (M, N) [m/rad] at theta (N,) [rad], f (M,) [N], f held: analytic."""
@@ -107,26 +107,30 @@ class Schema:
 
     def lengths_and_jacobian(self, theta: Array, f: Array) -> tuple[Array, Array]:
         """Mask 110: l (M,) [m] and dl/dtheta (M, N) [m/rad] at theta (N,) [rad], f (M,) [N]."""
-        return self._lengths.with_jacobian(np.concatenate((theta, f)), len(self.joints))
+        return self._lengths.with_jacobian(theta, f)
 
     def estimate(self, f: Array, length: Array) -> Array:
         """Mask 011. f (M,) [N], l (M,) [m] -> theta (N,) [rad]; or with a leading batch."""
-        return _ask(self._angles, f, length)
+        return self._angles(f, length)
 
     def tensions(self, theta: Array, length: Array) -> Array:
         """Mask 101. theta (N,) [rad], l (M,) [m] -> f (M,) [N]; or with a leading batch."""
-        return _ask(self._tensions, theta, length)
+        return self._tensions(theta, length)
 
     def reconstruct(
         self, theta: Array, f: Array, length: Array, mask: Mask
     ) -> tuple[Array, Array, Array]:
         """All outputs under one mask: theta (N,) [rad], f (M,) [N], l (M,) [m]."""
-        given = [
+        a, b = [
             x for x, on in zip((theta, f, length), mask, strict=True) if on
         ]  # what the mask leaves out is not looked at
-        y = self._fold(mask, (1, 1, 1))(np.concatenate(given))
+        y = self._fold(mask, (1, 1, 1))(a, b)
         c = columns(len(self.joints), len(self.muscles))
         return y[c.theta], y[c.tension], y[c.length]
+
+    @cached_property
+    def _inner(self) -> tuple[Array, ...]:
+        return inner_layers(self.weights)
 
     @cached_property
     def _lengths(self) -> Folded:
@@ -145,15 +149,17 @@ class Schema:
         c = columns(n, m)
         scale = np.concatenate((self.theta_scale_rad, self.tension_scale_n, self.length_scale_m))
         offset = np.concatenate((np.zeros(n + m), self.length_reference_m))
-        inputs = np.flatnonzero(np.repeat(mask, (n, m, m)))
+        groups = zip((c.theta, c.tension, c.length), mask, strict=True)
         outputs = np.flatnonzero(np.repeat(wanted, (n, m, m)))
         constant = np.zeros(c.mask.stop)
         constant[c.mask] = mask
         return Folded(
             self.weights,
-            inputs=inputs,
-            scale_in=scale[inputs],
-            offset_in=offset[inputs],
+            self._inner,
+            inputs=[group for group, given in groups if given],
+            places=entrances(mask, n, m),
+            scale_in=scale,
+            offset_in=offset,
             constant=constant,
             outputs=outputs,
             scale_out=scale[outputs],
@@ -208,12 +214,6 @@ class Schema:
         return cls(
             joints=joints, muscles=muscles, weights=weights, meta=meta, wires=wires, **arrays
         )
-
-
-def _ask(folded: Folded, a: Array, b: Array) -> Array:
-    if a.ndim == 1:
-        return folded(np.concatenate((a, b)))
-    return folded.batch(np.concatenate((a, b), axis=1))
 
 
 def _shapes(n: int, m: int) -> dict[str, tuple[int, ...]]:

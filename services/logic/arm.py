@@ -54,6 +54,7 @@ class Arm:
         self.path: Path | None = None
         self.plan: Plan | None = None
         self._asked: tuple[bytes, ...] = ()  # what the plan was made for
+        self._change_n: Array | float = 0.0  # from the plan before, (M,)
         self.excluded: set[str] = set()  # schema muscles that must not be relied on
         self.corrected = False  # whether lengths follow what the model is found to be off by
         self.drawn = False  # the model is the body file's: lengths always follow
@@ -61,6 +62,7 @@ class Arm:
         self._bodies: dict[str, ChainBody] = {}
         self._muscles: dict[str, ModuleInfo] = {}  # by name, the first on the chains
         self._states: dict[str, ChainState] = {}
+        self._felt: dict[str, tuple[float, float]] | None = None  # what they say, once asked for
         self._angles: dict[str, tuple[float, int]] = {}  # joint -> angle [rad], stamp
         self._off_m: dict[str, float] = {}  # length that is felt, less what the model says
         self._correction = 0.0  # how much of that is in effect, 0 to 1
@@ -74,6 +76,7 @@ class Arm:
         """Take in what the drivers say."""
         if isinstance(message, ChainState):
             self._states[message.chain] = message
+            self._felt = None
         elif isinstance(message, JointState):
             for name, angle in zip(message.joints, message.angle_rad, strict=True):
                 self._angles[name] = (angle, message.stamp_ns)
@@ -112,11 +115,13 @@ class Arm:
 
     def felt(self) -> dict[str, tuple[float, float]]:
         """Length [m] and tension [N] of every muscle that is there."""
-        return {
-            name: (state.length_m[i], state.tension_n[i])
-            for state in self._states.values()
-            for i, name in enumerate(state.muscles)
-        }
+        if self._felt is None:
+            self._felt = {
+                name: (state.length_m[i], state.tension_n[i])
+                for state in self._states.values()
+                for i, name in enumerate(state.muscles)
+            }
+        return self._felt
 
     def modules(self) -> Iterator[ModuleInfo]:
         """All modules on all chains."""
@@ -194,24 +199,30 @@ class Arm:
         felt = self.felt()
         theta, floor = self.path.now()
         usable = self._usable(felt)
-        there = np.array([name in usable for name in self.schema.muscles])
-        ceiling = np.where(there, self.settings.control.tension_ceiling_n, 0.0)
+        most_n = self.settings.control.tension_ceiling_n
+        ceiling = np.array([most_n if name in usable else 0.0 for name in self.schema.muscles])
         self.guests.feel(self.schema, self.angle_rad, felt, dt_s)
         self.plan = self.planned(theta, np.minimum(floor, ceiling), ceiling)
         self._feel_errors(felt, dt_s)
-        self._aim(felt, dt_s)
+        self._aim(felt, usable, dt_s)
 
     def planned(self, theta: Array, floor_n: Array, ceiling_n: Array) -> Plan:
         """Tensions and lengths for a posture (N,) between floor and ceiling, both (M,)."""
         assert self.schema is not None
         torque = self.skeleton.gravity_torque_nm(theta) - self.guests.torque_nm
         asked = tuple(x.tobytes() for x in (theta, torque, floor_n, ceiling_n))
-        if self.plan is not None and self.plan.converged and asked == self._asked:
-            return self.plan  # at rest: planning goes on from the last plan and would find it again
+        last, sharing = self.plan, self.settings.control.sharing
+        if last is None:
+            self._asked, self._change_n = asked, 0.0
+            return plan(self.schema, theta, torque, floor_n, ceiling_n, sharing=sharing)
+        if last.converged and asked == self._asked:
+            self._change_n = 0.0
+            return last  # at rest: planning goes on from the last plan and would find it again
         self._asked = asked
-        start = None if self.plan is None else self.plan.tension_n
-        sharing = self.settings.control.sharing
-        return plan(self.schema, theta, torque, floor_n, ceiling_n, start, sharing)
+        start = last.tension_n + self._change_n  # as if it went on like that: mostly it does
+        found = plan(self.schema, theta, torque, floor_n, ceiling_n, start, sharing)
+        self._change_n = found.tension_n - last.tension_n
+        return found
 
     def _feel_errors(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
         """What the model's lengths are off by where the arm is now.
@@ -241,14 +252,15 @@ class Arm:
             else:
                 self._off_m[name] = last + (off - last) * share
 
-    def _aim(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
+    def _aim(self, felt: dict[str, tuple[float, float]], usable: set[str], dt_s: float) -> None:
         """Targets for all muscles: the plan, the fading offset, and never faster than the motor."""
         assert self.schema is not None and self.plan is not None
         stiffness = self.settings.control.stiffness_n_m
+        plans = zip(self.plan.tension_n.tolist(), self.plan.length_m.tolist(), strict=True)
         planned = {
-            name: (float(self.plan.tension_n[i]), float(self.plan.length_m[i]))
-            for i, name in enumerate(self.schema.muscles)
-            if name in self._usable(felt)
+            name: plan
+            for name, plan in zip(self.schema.muscles, plans, strict=True)
+            if name in usable
         }
         if self._offset_m is None:
             # f_ref = f_plan + k (l - target) shall equal the tension that is there now
@@ -279,7 +291,6 @@ class Arm:
             planned.pop(name, None)
         stiffness = self.settings.control.stiffness_n_m
         for chain, state in self._states.items():
-            known = [name in planned for name in state.muscles]
             yield ChainCommand(
                 stamp_ns=now_ns,
                 chain=chain,
@@ -287,10 +298,15 @@ class Arm:
                 lease_ns=LEASE_NS,
                 muscles=state.muscles,
                 bias_n=tuple(
-                    planned.get(name, self.guests.tension_n(name)) for name in state.muscles
+                    [
+                        planned[name] if name in planned else self.guests.tension_n(name)
+                        for name in state.muscles
+                    ]
                 ),
-                stiffness_n_m=tuple(stiffness if k else 0.0 for k in known),
-                target_length_m=tuple(self._target_m[name] for name in state.muscles),
+                stiffness_n_m=tuple(
+                    [stiffness if name in planned else 0.0 for name in state.muscles]
+                ),
+                target_length_m=tuple([self._target_m[name] for name in state.muscles]),
             )
 
     def _usable(self, felt: dict[str, tuple[float, float]]) -> set[str]:

@@ -206,9 +206,9 @@ class Body:
                 self._notebook.memory.known.setdefault(name, module.serial)
             absent = module is None or module.state != "up"
             torn = self.growth is None and name in felt and felt[name][1] < TORN_N
-            for times, counts in ((self._lost_s, absent), (self._torn_s, torn)):
-                times[name] = times.get(name, 0.0) + dt_s if counts else 0.0
-            if self._lost_s[name] > LOST_S or self._torn_s[name] > TORN_S:
+            lost_s = self._lost_s[name] = self._lost_s.get(name, 0.0) + dt_s if absent else 0.0
+            torn_s = self._torn_s[name] = self._torn_s.get(name, 0.0) + dt_s if torn else 0.0
+            if lost_s > LOST_S or torn_s > TORN_S:
                 missing.append(name)
         return missing
 

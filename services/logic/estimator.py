@@ -8,6 +8,7 @@ has muscles of the schema has said something new. It carries the stamp of the ol
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -107,24 +108,24 @@ class Estimator:
     def _estimate(self, schema: Schema, now_ns: int) -> JointEstimate | None:
         """None while the set is partial, or a muscle is missing, stale or unreadable."""
         at = {
-            muscle: (state, column)
+            muscle: (state, tension, length)
             for state in self._states.values()
             if now_ns - state.stamp_ns <= STALE_NS
-            for column, muscle in enumerate(state.muscles)
+            for muscle, tension, length in zip(
+                state.muscles, state.tension_n, state.length_m, strict=True
+            )
         }
-        if not all(muscle in at for muscle in schema.muscles):
+        if not at.keys() >= set(schema.muscles):
             return None
         readings = [at[muscle] for muscle in schema.muscles]
-        chains = {state.chain for state, _ in readings}
-        if not chains <= self._unused:
+        if not {state.chain for state, _, _ in readings} <= self._unused:
             return None
         self._unused.clear()
-        f, length = np.array(
-            [(s.tension_n[column], s.length_m[column]) for s, column in readings]
-        ).T
-        if not (np.isfinite(f) & np.isfinite(length)).all():
+        f = np.array([tension for _, tension, _ in readings])
+        length = np.array([length for _, _, length in readings])
+        if not math.isfinite(f.dot(length)):
             return None
-        self._last_ns = min(state.stamp_ns for state, _ in readings)
+        self._last_ns = min([state.stamp_ns for state, _, _ in readings])
         found = posture(schema, f, length)
         return JointEstimate(
             stamp_ns=self._last_ns,

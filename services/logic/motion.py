@@ -48,6 +48,8 @@ class Path:
 
     def now(self) -> tuple[Array, Array]:
         """Reference posture (N,) and tension floor (M,) at this moment."""
+        if self.elapsed_s >= self.duration_s:
+            return self.goal_rad, self.goal_floor_n
         s = min_jerk(self.elapsed_s / self.duration_s)
         return (
             self.start_rad + s * (self.goal_rad - self.start_rad),

@@ -35,6 +35,8 @@ class Skeleton:
         self._model = spec.compile()
         self._data = mj.MjData(self._model)
         self._coordinates = Coordinates(self._model, joints)
+        self._asked = b""  # the posture of `_torque_nm`
+        self._torque_nm = np.zeros(len(joints))
         self._load_kg = 0.0
         self._load_body, self._load_m = 0, np.zeros(3)
         self._load_jacobian = np.zeros((3, self._model.nv))
@@ -42,7 +44,7 @@ class Skeleton:
 
     def carry(self, link: str, position_m: tuple[float, float, float], mass_kg: float) -> None:
         """From now on a link carries a mass at a position in its frame; 0 kg: nothing."""
-        self._load_kg = mass_kg
+        self._load_kg, self._asked = mass_kg, b""
         self._load_body, self._load_m = self._model.body(link).id, np.array(position_m)
 
     def gravity_torque_nm(self, angle_rad: Array) -> Array:
@@ -50,18 +52,22 @@ class Skeleton:
 
         What is carried counts: J^T m g, J of its centre of mass.
         """
-        self._coordinates.place(self._data.qpos, angle_rad)
-        mj.mj_kinematics(self._model, self._data)
-        mj.mj_comPos(self._model, self._data)
-        mj.mj_crb(self._model, self._data)
-        self._data.qvel[:] = 0.0
-        mj.mj_comVel(self._model, self._data)
-        mj.mj_rne(self._model, self._data, 0, self._data.qfrc_bias)
-        torque = self._data.qfrc_bias
+        asked = angle_rad.tobytes()
+        if asked != self._asked:  # an arm that rests asks the same again and again
+            self._torque_nm, self._asked = self._weight_nm(angle_rad), asked
+        return self.gravity_scale * self._torque_nm
+
+    def _weight_nm(self, angle_rad: Array) -> Array:
+        model, data = self._model, self._data
+        self._coordinates.place(data.qpos, angle_rad)
+        mj.mj_kinematics(model, data)
+        mj.mj_comPos(model, data)
+        mj.mj_rne(model, data, 0, data.qfrc_bias)  # velocities of `data` are zero for ever
+        torque = data.qfrc_bias
         if self._load_kg:
-            turn = self._data.xmat[self._load_body].reshape(3, 3)
-            centre_m = self._data.xpos[self._load_body] + turn @ self._load_m
+            turn = data.xmat[self._load_body].reshape(3, 3)
+            centre_m = data.xpos[self._load_body] + turn @ self._load_m
             jacobian = self._load_jacobian
-            mj.mj_jac(self._model, self._data, jacobian, None, centre_m, self._load_body)
-            torque = torque - self._load_kg * self._model.opt.gravity @ jacobian
-        return self.gravity_scale * self._coordinates.pulled(torque, self._data.qpos)
+            mj.mj_jac(model, data, jacobian, None, centre_m, self._load_body)
+            torque = torque - self._load_kg * model.opt.gravity @ jacobian
+        return self._coordinates.pulled(torque, data.qpos)
