@@ -98,7 +98,7 @@ def _smallest_tensions(g: Array, torque_nm: Array, low: Array, high: Array, shar
     if sharing == "peak":
         peak = _least_peak(PEAK_FIRMNESS * h, PEAK_FIRMNESS * linear, low, high)
         high = np.maximum(low, np.minimum(high, PEAK_MARGIN * peak))
-    h.ravel()[:: m + 1] += 1.0
+    h.flat[:: m + 1] += 1.0
     return _solved(h, linear, np.empty((0, m)), high, low)
 
 
