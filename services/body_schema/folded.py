@@ -64,16 +64,20 @@ class Folded:
         for columns, place in zip(inputs, places, strict=True):
             first[place, :-1] = w1[:, columns].T / scale_in[columns, None]
             first[0] -= (first[place] * offset_in[columns, None]).sum(axis=0)
-        self._places = tuple(places)
-        self._first = first  # (rows, 201)
-        self._inner = inner
+        self._layers = (first, *inner)
+        self._a, self._b = places
+        # a sample, and beside it what one unit more of each number of `a` is
+        self._with_slopes = np.eye(rows)[[0, *range(rows)[self._a]]]
         offset = b6[outputs] * scale_out + offset_out
         self._last = np.column_stack((w6[outputs] * scale_out[:, None], offset))  # (R, 201)
 
     def __call__(self, a: Array, b: Array) -> Array:
         """One sample: y (R,); or many, (B, N) or (B, M) each -> (B, R), equal but for rounding."""
-        h = self._entered(a, b)
-        for w in self._inner:
+        h = np.zeros((*a.shape[:-1], len(self._layers[0])))
+        h[..., 0] = 1.0
+        h[..., self._a] = a
+        h[..., self._b] = b
+        for w in self._layers:
             h = h.dot(w)
             np.tanh(h, h)
         y: Array = np.vecdot(self._last, h) if h.ndim == 1 else h.dot(self._last.T)
@@ -81,27 +85,16 @@ class Folded:
 
     def with_jacobian(self, a: Array, b: Array) -> tuple[Array, Array]:
         """One sample: y (R,) and dy/da (R, len(a)). Forward mode: h and its slopes go together."""
-        d = np.empty((1 + len(a), self._first.shape[1]))  # h, then dh/da
-        h, slopes = d[:1], d[1:]
-        h[:] = self._entered(a, b)
-        np.multiply(self._first[self._places[0]], 1.0 - h * h, slopes)
-        for w in self._inner:
+        d = self._with_slopes.copy()
+        d[0, self._a] = a
+        d[0, self._b] = b
+        for w in self._layers:
             d = d.dot(w)
             h, slopes = d[:1], d[1:]
             np.tanh(h, h)
             slopes -= slopes * (h * h)
         y: Array = np.vecdot(self._last, d[0])
         return y, self._last.dot(slopes.T)
-
-    def _entered(self, a: Array, b: Array) -> Array:
-        """What the first layer makes of it: (201,) or (B, 201)."""
-        x = np.zeros((*a.shape[:-1], len(self._first)))
-        x[..., 0] = 1.0
-        x[..., self._places[0]] = a
-        x[..., self._places[1]] = b
-        h: Array = x.dot(self._first)
-        np.tanh(h, h)
-        return h
 
 
 def _with_ones(w: Array, b: Array) -> Array:

@@ -60,6 +60,8 @@ class Hands:
 
     def tick(self, now_ns: int, dt_s: float) -> Iterator[HandCommand]:
         """Let time pass; tells the hands when to close and to open."""
+        if not self._payloads:
+            return
         step = dt_s / TAKE_OVER_S
         change = min(max(self._wanted - self._share, -step), step)
         if change and (self._felt or change < 0.0):

@@ -54,6 +54,21 @@ def test_any_body_with_spatial_tendons_is_wires_without_actuators(settings: Robo
     assert np.isfinite(plant.angle_rad).all()
 
 
+@pytest.mark.parametrize("touching", [False, True])
+def test_contacts_are_looked_for_where_something_can_touch(
+    settings: RobotSettings, touching: bool
+) -> None:
+    if touching:  # the upper rod begins within the base's pulley
+        xml = settings.body_file.read_text()
+        settings.body_file.write_text(xml.replace('contype="0" conaffinity="0"', ""))
+    plant = Plant(settings)
+    plant.sense()
+    assert (plant.data.ncon > 0) == touching
+    plant.add_muscle("spare", PATH)
+    plant.sense()
+    assert (plant.data.ncon > 0) == touching
+
+
 def test_the_shipped_body_loads() -> None:
     assert Plant(load_robot("elbow")).wires == ["triceps", "biceps_1", "biceps_2"]
 
