@@ -139,9 +139,7 @@ class Chain:
     def _voice(self, module: Module, status: bytes) -> bytes:
         return self.faults.on_line(status, (module.name,)) if self.faults.active else status
 
-    def _read_many(
-        self, instruction: int, spans: Sequence[Span], modules: list[Module]
-    ) -> bytes:
+    def _read_many(self, instruction: int, spans: Sequence[Span], modules: list[Module]) -> bytes:
         by_id: dict[int, list[Module]] = {}
         for module in modules:
             if module.status_return_level >= _READ_LEVEL:
@@ -158,9 +156,7 @@ class Chain:
             line.append(_together(voices))
         return b"".join(line)
 
-    def _read_fast(
-        self, spans: Sequence[Span], by_id: dict[int, list[Module]]
-    ) -> bytes:
+    def _read_fast(self, spans: Sequence[Span], by_id: dict[int, list[Module]]) -> bytes:
         """One packet to which each module adds its part; it breaks off where one is missing."""
         parts: list[StatusPacket] = []
         for module_id, address, length in spans:

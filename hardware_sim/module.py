@@ -41,7 +41,7 @@ class Module:
         id: its address on the line.
         baud: baud rate [1/s] at which it listens.
         return_delay_s: pause before it answers [s].
-        status_return_level: 0: answers pings alone; 1: reads, too; 2: everything that asks it alone.
+        status_return_level: 0: it answers pings alone; 1: reads, too; 2: all that asks it alone.
         link_errors: packets with a wrong checksum that it heard.
         pending: (address, data) of a registered write, waiting for its action.
     """
