@@ -20,7 +20,7 @@ BITS_PER_BYTE = 10  # with start and stop bit
 HOP_DELAY_S = 1e-6  # of the line driver of each module that bytes go through
 
 _READ_LEVEL = 1  # status return level from which reads are answered; pings always, the rest at 2
-_DONE, _NO_ACCESS = int(StatusError.NONE), int(StatusError.ACCESS)
+_DONE, _NO_ACCESS = int(StatusError.NONE), int(StatusError.ACCESS)  # a member takes 0.1 us
 _LEVEL: dict[int, int] = {Instruction.PING: 0, Instruction.READ: _READ_LEVEL}
 
 
@@ -67,8 +67,7 @@ class Chain:
     def receive(self, data: bytes, now_ns: int) -> bytes:
         """Bytes from the master, however cut -> bytes that the line carries back."""
         data = self.faults.on_line(data, (self.name,))
-        baud = self.baud
-        listening = [module for module in self.reachable() if module.baud == baud]
+        listening = [module for module in self.reachable() if module.baud == self.baud]
         errors = self._decoder.crc_errors
         reply = b""
         packets = self._decoder.feed(data)
@@ -139,9 +138,7 @@ class Chain:
     def _voice(self, module: Module, status: bytes) -> bytes:
         return self.faults.on_line(status, (module.name,)) if self.faults.active else status
 
-    def _read_many(
-        self, instruction: int, spans: Sequence[Span], modules: list[Module]
-    ) -> bytes:
+    def _read_many(self, instruction: int, spans: Sequence[Span], modules: list[Module]) -> bytes:
         by_id: dict[int, list[Module]] = {}
         for module in modules:
             if module.status_return_level >= _READ_LEVEL:
@@ -152,15 +149,13 @@ class Chain:
         for module_id, address, length in spans:
             voices = []
             for module in by_id.get(module_id, ()):
-                data = module.read(address, length)
-                error = (_DONE if data else _NO_ACCESS) | (ALERT if module.alert else 0)
+                error, data = _read(module, address, length)
+                error |= ALERT if module.alert else 0
                 voices.append(self._voice(module, wire.encode_status(module_id, error, data)))
             line.append(_together(voices))
         return b"".join(line)
 
-    def _read_fast(
-        self, spans: Sequence[Span], by_id: dict[int, list[Module]]
-    ) -> bytes:
+    def _read_fast(self, spans: Sequence[Span], by_id: dict[int, list[Module]]) -> bytes:
         """One packet to which each module adds its part; it breaks off where one is missing."""
         parts: list[StatusPacket] = []
         for module_id, address, length in spans:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from struct import Struct
 from typing import Any
 
 from runtime.wire.packet import StatusError
@@ -27,7 +28,7 @@ _MAX_SPAN = 1024  # bytes that one read or write may touch
 _RETURN_DELAY_S = BY_NAME["return_delay"].scale
 _GOALS = {register.name for register in GOALS}
 _ANGLE = BY_NAME["present_angle"]
-_BEHIND_ANGLE = bytes(PRESENT_BLOCK.length - _ANGLE.size)  # of the block: joints have none of it
+_ANGLE_BLOCK = Struct(f"<I{PRESENT_BLOCK.length - _ANGLE.size}x")  # gaps read 0
 _ENDLESS = {"present_position", "present_angle", "present_length", "target_length"}
 
 
@@ -40,7 +41,7 @@ class Module:
         id: its address on the line.
         baud: baud rate [1/s] at which it listens.
         return_delay_s: pause before it answers [s].
-        status_return_level: 0: answers pings alone; 1: reads, too; 2: everything that asks it alone.
+        status_return_level: 0: it answers pings alone; 1: reads, too; 2: all that asks it alone.
         link_errors: packets with a wrong checksum that it heard.
         pending: (address, data) of a registered write, waiting for its action.
     """
@@ -221,7 +222,8 @@ class JointModule(Module):
         """As `Module.read`."""
         if address != PRESENT_BLOCK.address or length != PRESENT_BLOCK.length:
             return super().read(address, length)
-        return self._bytes(_ANGLE) + _BEHIND_ANGLE  # read all the time: a short way
+        raw = round(self._angle_rad() / _ANGLE.scale)  # read all the time: a short way
+        return _ANGLE_BLOCK.pack(raw % (1 << 8 * _ANGLE.size))
 
     def _get(self, name: str) -> int:
         if name in ("present_angle", "present_position"):

@@ -8,7 +8,7 @@ commands a chain and one sync read senses it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from enum import Enum, IntEnum
 from operator import mul, truediv
 from struct import Struct
@@ -132,7 +132,11 @@ _CODES = {1: "b", 2: "h", 4: "i", 8: "q"}
 
 
 class Block:
-    """Registers that lie side by side, read and written as one span of `length` bytes."""
+    """Registers that lie side by side, read and written as one span of `length` bytes.
+
+    `pack_raw` and `unpack_raw` are for what is said every cycle: raw integers, one of each register
+    in their order, to bytes and back.
+    """
 
     def __init__(self, registers: Iterable[Register]) -> None:
         self.registers = tuple(registers)
@@ -145,27 +149,20 @@ class Block:
             code = _CODES[register.size]
             codes += code if register.signed else code.upper()
         self.length = end - self.address
-        self._struct = Struct("<" + codes)
-        self.pack_raw = self._struct.pack  # raw integers, in the registers' order
-        self.unpack_raw = self._struct.unpack_from
+        struct = Struct("<" + codes)
+        self.pack_raw, self.unpack_raw = struct.pack, struct.unpack_from
         self._names = tuple(register.name for register in self.registers)
         self._scales = tuple(register.scale for register in self.registers)
 
     def encode(self, values: Mapping[str, float]) -> bytes:
         """Register name -> value, all of them. Raises struct.error when one does not fit."""
-        return self.pack([values[name] for name in self._names])
+        wanted = [values[name] for name in self._names]
+        return self.pack_raw(*map(round, map(truediv, wanted, self._scales)))
 
     def decode(self, data: bytes) -> dict[str, float]:
         """Register name -> value in its unit. `data` has at least `length` bytes."""
-        return dict(zip(self._names, self.unpack(data), strict=True))
-
-    def pack(self, values: Iterable[float]) -> bytes:
-        """As `encode`, of the values in the registers' order."""
-        return self._struct.pack(*map(round, map(truediv, values, self._scales)))
-
-    def unpack(self, data: bytes) -> Iterator[float]:
-        """As `decode`: the values in the registers' order."""
-        return map(mul, self._struct.unpack_from(data), self._scales)
+        values = map(mul, self.unpack_raw(data), self._scales)
+        return dict(zip(self._names, values, strict=True))
 
 
 def block(*names: str) -> Block:

@@ -6,7 +6,7 @@ is over; it yields None to wait for the next cycle. The driver runs several of t
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -33,8 +33,9 @@ class Conversations:
         """Start one more with the next `carry_on`."""
         self._running.append(_Running(conversation))
 
-    def carry_on(self, now_ns: int, new_cycle: bool) -> Iterator[BusRequest]:
+    def carry_on(self, now_ns: int, new_cycle: bool) -> list[BusRequest]:
         """Go on with those whose exchange is over or who waited for the cycle."""
+        requests = []
         for running in list(self._running):
             exchange = running.exchange
             if exchange is None:
@@ -53,7 +54,8 @@ class Conversations:
             running.exchange = None
             if packet is not None:
                 running.exchange, request = self._line.send(packet, now_ns)
-                yield request
+                requests.append(request)
+        return requests
 
 
 class UnansweredError(Exception):

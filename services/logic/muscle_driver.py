@@ -109,7 +109,7 @@ class MuscleDriver:
         self._event("warning", "stopping", text)
         return self._stopping.stop(self.chain, [x.name for x in self.roster.muscles()])
 
-    def tick(self, now_ns: int) -> Iterator[Message]:
+    def tick(self, now_ns: int) -> list[Message]:
         """Run the cycle when it is due, and carry the conversations on."""
         self._now_ns = self._reception.now_ns = now_ns
         cycle = now_ns // self.period_ns
@@ -120,9 +120,9 @@ class MuscleDriver:
             self._cycle, self._urgent = cycle, False
         self._out += self._conversations.carry_on(now_ns, new_cycle)
         if self._enumerator.ready:
-            self._out += self._body.tell(bool(self._stopping.mode), now_ns)
+            self._out += self._body.tell(self.roster.stopped, now_ns)
         out, self._out = self._out, []
-        yield from out
+        return out
 
     # ── goals out ─────────────────────────────────────────────────────────────────────────────
 
@@ -173,7 +173,7 @@ class MuscleDriver:
 
     def _write_all(self, muscles: list[Module]) -> Iterator[InstructionPacket]:
         stop = self._stopping.packets(muscles)
-        if self._stopping.mode:
+        if self.roster.stopped:
             yield from stop
             return
         if not muscles:

@@ -63,11 +63,12 @@ class Reference:
 
     def want(self, bias_n: float, stiffness_n_m: float, target_m: float, length_m: float) -> None:
         """Take a command. Another stiffness begins with the tension that was asked for so far."""
-        bias = min(max(bias_n, 0.0), self.ceiling_n)
+        ceiling_n = self.ceiling_n
+        bias = min(max(bias_n, 0.0), ceiling_n)
         stiffness = min(max(stiffness_n_m, 0.0), 60_000.0)
         if stiffness != self.stiffness_n_m and stiffness > 0.0:
             asked = self.bias_n + self.stiffness_n_m * (length_m - self.target_m)
-            asked = min(max(asked, 0.0), self.ceiling_n)
+            asked = min(max(asked, 0.0), ceiling_n)
             self.target_m = length_m - (asked - bias) / stiffness
         self.bias_n, self.stiffness_n_m, self.wanted_m = bias, stiffness, target_m
 

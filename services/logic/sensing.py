@@ -5,7 +5,7 @@ One corrupt or missing answer costs that sample of that module: it keeps its las
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
@@ -100,11 +100,11 @@ class Sensing:
         )
 
 
-def states(roster: Roster, mode: str, stamp_ns: int) -> Iterator[m.Message]:
+def states(roster: Roster, mode: str, stamp_ns: int) -> list[m.Message]:
     """The readings as messages, of the instant at which they were asked for."""
     shown = [module for module in roster.modules if module.polled and module.zeroed]
     muscles = [module for module in shown if module.kind is _MUSCLE]
-    yield m.ChainState(
+    chain_state = m.ChainState(
         stamp_ns=stamp_ns,
         chain=roster.chain,
         muscles=tuple([x.name for x in muscles]),
@@ -114,14 +114,16 @@ def states(roster: Roster, mode: str, stamp_ns: int) -> Iterator[m.Message]:
         target_length_m=tuple([x.reference.target_m for x in muscles]),
         mode=mode,
     )
-    if len(muscles) < len(shown):
-        joints = [module for module in shown if module.kind is _JOINT]
-        yield m.JointState(
-            stamp_ns=stamp_ns,
-            source=roster.chain,
-            joints=tuple([x.name for x in joints]),
-            angle_rad=tuple([x.reading for x in joints]),
-        )
+    if len(muscles) == len(shown):
+        return [chain_state]
+    joints = [module for module in shown if module.kind is _JOINT]
+    joint_state = m.JointState(
+        stamp_ns=stamp_ns,
+        source=roster.chain,
+        joints=tuple([x.name for x in joints]),
+        angle_rad=tuple([x.reading for x in joints]),
+    )
+    return [chain_state, joint_state]
 
 
 class BodyTeller:
@@ -134,16 +136,16 @@ class BodyTeller:
         self._told: list[Look] = []
         self._told_ns = 0
 
-    def tell(self, stopped: bool, now_ns: int) -> Iterator[m.ChainBody]:
+    def tell(self, stopped: bool, now_ns: int) -> list[m.ChainBody]:
         """The message, when it is time for it."""
         modules = self._roster.modules
         # without the count of link errors, which may change every cycle
         look: list[Look] = [(x.name, x.id, x.serial, x.state, x.fault, stopped) for x in modules]
         if look == self._told and now_ns - self._told_ns < self.EVERY_NS:
-            return
+            return []
         self._told, self._told_ns = look, now_ns
         infos = tuple(module.info(stopped) for module in modules)
-        yield m.ChainBody(stamp_ns=now_ns, chain=self._roster.chain, modules=infos)
+        return [m.ChainBody(stamp_ns=now_ns, chain=self._roster.chain, modules=infos)]
 
 
 def _read(module: Module, status: StatusPacket) -> bool:

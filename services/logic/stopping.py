@@ -94,6 +94,8 @@ class Stopping:
             there = {module.id for module in self._roster.modules if module.polled}
             ids = [muscle.id for muscle in muscles if not muscle.status & _LATCHED]
             ids += [i for i in self._roster.expected_ids() if i not in there]
+        elif not self._roster.clearing:
+            return []
         else:
             ids = [muscle.id for muscle in muscles if muscle.serial in self._roster.clearing]
         if not ids:
