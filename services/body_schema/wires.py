@@ -42,7 +42,7 @@ class Geometry(Protocol):
         """(M,) [m] and (M, N) [m/rad] at theta (N,) [rad]."""
 
     def lengths_and_site_slopes(self, theta: Array) -> tuple[Array, Array]:
-        """(M,) [m] and (P, 3): how a wire's length changes with each of its sites."""
+        """At theta (T, N) [rad]: (T, M) [m] and (T, P, 3), by how much each site changes its wire."""
 
 
 def stretch_terms(f: Array) -> Array:
