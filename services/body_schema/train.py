@@ -36,6 +36,7 @@ from services.body_schema.train_network import (
     Single,
     Trainee,
     losses_and_slope,
+    one_thread,
     single,
 )
 
@@ -71,6 +72,7 @@ METHODS: dict[str, Callable[[float], float]] = {  # done part of the epochs -> w
 }
 
 
+@one_thread
 def train_old(
     joints: tuple[str, ...],
     muscles: tuple[str, ...],
@@ -107,6 +109,7 @@ def train_old(
     return _with_residuals(replace(blank, weights=weights), theta, f, length)
 
 
+@one_thread
 def relearn(
     old: Schema,
     motions: Sequence[Motion],
@@ -144,6 +147,7 @@ def relearn(
     return _with_residuals(replace(start, weights=weights), theta, f, length)
 
 
+@one_thread
 def teach(
     old: Schema,
     motions: Sequence[Motion],
@@ -186,6 +190,7 @@ def teach(
     return replace(taught, tension_range_n=np.tile((SLACK_N, strong), (len(start.muscles), 1)))
 
 
+@one_thread
 def distil(
     old: Schema,
     keep: tuple[str, ...],

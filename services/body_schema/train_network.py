@@ -8,15 +8,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from services.body_schema.network import Array, Weights, forward
 
 TINY = 1e-12  # squared, beside scaled errors: at zero a norm has no slope
 
 Single = NDArray[np.float32]
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+def one_thread(function: Function) -> Function:
+    """Let a function's sums go without threads, which only cost where matrices are small."""
+    wrapped = threadpool_limits.wrap(limits=1, user_api="blas")(function)
+    return cast(Function, wrapped)
 
 
 class Trainee:
@@ -146,6 +155,7 @@ def losses_and_slope(error: Single, group_of: Single, weights: Single) -> tuple[
     return norms.sum(axis=1) / error.shape[1], slope.reshape(error.shape)
 
 
+@one_thread
 def regressed(
     weights: Weights,
     inputs: Array,
