@@ -110,7 +110,7 @@ class Wiring:
         data = self._data
         felt = (data.ten_length, data.wrap_xpos, data.wrap_obj, data.xmat, data.ten_wrapadr)
         seen = [np.empty((len(theta), *array.shape), array.dtype) for array in felt]
-        last = np.empty(len(theta), dtype=int)  # point of the last wire
+        last = np.empty(len(theta), dtype=int)  # number of the last point
         for t, posture in enumerate(theta):
             self._move(posture)
             for copies, array in zip(seen, felt, strict=True):
