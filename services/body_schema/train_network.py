@@ -1,7 +1,7 @@
 """The network as it learns: single precision, its gradient and that of the losses, and Adam.
 
-The gradients are written out, in numpy: what a framework adds to each sum takes longer than all
-sums of so small a network together.
+The gradients are written out, in numpy: what a framework adds to each matrix product takes longer
+than all products of so small a network together.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def one_thread(function: Function) -> Function:
-    """Let a function's sums go without threads, which only cost where matrices are small."""
+    """Let BLAS go without threads in a function: they only cost where matrices are small."""
     wrapped = threadpool_limits.wrap(limits=1, user_api="blas")(function)
     return cast(Function, wrapped)
 
