@@ -14,10 +14,8 @@ help:  ## list the targets
 
 setup: $(STAMP)  ## make .venv with everything in it
 
-# torch first and alone: its wheel decides about what the rest must fit.
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt torch
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt \
 		--editable ".[sim,learn,view,web,cluster,dev]"
 	$(BIN)/python -c "import hardware_sim.robot"  # compiles, so that the first start need not

@@ -9,15 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from services.body_schema.network import Array, Weights, forward
 from services.body_schema.schema import Schema
-
-if TYPE_CHECKING:  # torch: only who trains pays for it
-    from services.body_schema.train import Recipe
+from services.body_schema.train import Recipe
+from services.body_schema.train_network import regressed
 
 HIDDEN_LAYERS = 5
 Estimate = Callable[[Array, Array], Array]  # f (T, M) [N], l (T, M) [m] -> theta (T, N) [rad]
@@ -27,8 +25,6 @@ def learn_direct(
     scales: Schema, theta: Array, f: Array, length: Array, recipe: Recipe, seed: int
 ) -> Estimate:
     """Learn theta (T, N) [rad] from f (T, M) [N] and length (T, M) [m], scaled as in `scales`."""
-    from services.body_schema.train_network import regressed
-
     n = len(scales.joints)
     known = scales.scaled(theta, f, length)
     start = _start(known.shape[1] - n, n, weight_count(scales.weights), seed)

@@ -15,6 +15,7 @@ import numpy as np
 from experiments.trial import Collected, collect_again
 from hardware_sim.wire_drive import elastic_stretch_m
 from runtime.settings import RobotSettings
+from services.body_schema import train
 from services.body_schema.motions import SLACK_N
 from services.body_schema.network import Array
 from services.body_schema.schema import Schema
@@ -55,18 +56,16 @@ def learn_drawn(
     progress: Callable[[int, int, float, float, float], None] | None = None,
 ) -> Schema:
     """h_old of the drawing."""
-    from services.body_schema.train import OLD, train_old  # torch: only who trains pays for it
-
     model = drawn_wires(settings, error_m, seed)
     theta, f = _samples(settings, len(model.muscles), np.random.default_rng([seed, 8]))
-    schema = train_old(
+    schema = train.train_old(
         model.joints,
         model.muscles,
         theta,
         f,
         model.lengths(theta, f),
         seed=seed,
-        recipe=replace(OLD, steps=OLD.steps // 10) if quick else OLD,
+        recipe=replace(train.OLD, steps=train.OLD.steps // 10) if quick else train.OLD,
         progress=progress,
     )
     return schema.with_wires(model.wires)
@@ -87,14 +86,12 @@ def refine_drawn(
         SessionError: the drawing is so far off that the robot cannot move.
         TrainingError: no wire was taut.
     """
-    from services.body_schema.train import NEW, relearn
-
     network = replace(drawn, wires=None)
     collected = collect_again(settings, REFINE_SEED + seed, network, motions)
     paths = known_paths(drawn, settings)
     model = fitted(drawn, collected.new, drawn.muscles, settings, paths, seed)
-    recipe = replace(NEW, steps=NEW.steps // 10, passes=1) if quick else NEW
-    refined = relearn(
+    recipe = replace(train.NEW, steps=train.NEW.steps // 10, passes=1) if quick else train.NEW
+    refined = train.relearn(
         network, collected.new, "", "iii", seed=seed, recipe=recipe, progress=progress
     )
     return refined.with_wires(model.wires), collected

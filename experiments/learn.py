@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +15,10 @@ from experiments.collect import Array, Recording, collect_old
 from experiments.imperfect import learn_drawn, refine_drawn
 from experiments.progress import bars
 from runtime.settings import RobotSettings, load_robot
+from services.body_schema import train
 from services.body_schema.motions import SLACK_N, residuals_m
 from services.body_schema.schema import Schema
 from services.logic.wiring import served
-
-if TYPE_CHECKING:
-    from services.body_schema.train import Recipe
 
 HELD_OUT_EVERY = 10
 DURATION_S = 500.0
@@ -141,10 +138,8 @@ def learn_old(
     progress: Callable[[int, int, float, float, float], None] | None = None,
 ) -> Schema:
     """Train h_old on what was recorded, but for every tenth sample."""
-    from services.body_schema.train import train_old  # torch: only who trains pays for it
-
     theta, f, length, held = taut(recording)
-    return train_old(
+    return train.train_old(
         recording.joints,
         recording.muscles,
         theta[~held],
@@ -156,13 +151,11 @@ def learn_old(
     )
 
 
-def recipe_for(joints: int, *, quick: bool = False) -> Recipe:
+def recipe_for(joints: int, *, quick: bool = False) -> train.Recipe:
     """How hard a first schema is trained."""
-    from services.body_schema.train import OLD
-
-    recipe = OLD
+    recipe = train.OLD
     if joints > 1:  # more to tell apart: more steps, each over more samples
-        recipe = replace(OLD, steps=LARGER_STEPS, batch=LARGER_BATCH, rate=LARGER_RATE)
+        recipe = replace(train.OLD, steps=LARGER_STEPS, batch=LARGER_BATCH, rate=LARGER_RATE)
     return replace(recipe, steps=recipe.steps // 10) if quick else recipe
 
 

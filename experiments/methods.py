@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from runtime.messages import Motion
 from runtime.settings import RobotSettings
+from services.body_schema import train
 from services.body_schema.model import BodyModel
 from services.body_schema.schema import Schema
 from services.logic.relearning import by_wires
@@ -49,8 +50,6 @@ def relearned(
     quick: bool,
 ) -> Schema:
     """By one of the paper's methods; the motions' last column is the robot's spare."""
-    from services.body_schema import train  # torch: only who learns pays for it
-
     recipe = replace(train.NEW, steps=train.NEW.steps // 10) if quick else train.NEW
     return train.relearn(
         old,

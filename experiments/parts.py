@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from experiments.methods import settled
 from experiments.trial import Collected
 from runtime.settings import RobotSettings
+from services.body_schema import train
 from services.body_schema.fit_wires import USUAL, Beliefs
 from services.body_schema.model import BodyModel
 from services.body_schema.network import Array
@@ -113,8 +114,6 @@ def learned(
     wires = fitted(old, motions, muscles, settings, paths, seed, part.beliefs)
     if control == WIRES:
         return wires
-    from services.body_schema import train  # torch: only who learns pays for it
-
     recipe = replace(train.TEACH, steps=train.TEACH.steps // 10) if quick else train.TEACH
     return train.teach(
         old,

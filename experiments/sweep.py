@@ -124,7 +124,7 @@ def _on_loky(units: Sequence[Unit], work: Work, jobs: int) -> Generator[str, Non
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    # loky replaces a worker that has grown, as each does when its first training imports torch
+    # loky replaces a worker that has grown, as each does with its first run
     warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
     with parallel_config("loky", inner_max_num_threads=1):
         parallel = Parallel(

@@ -1,8 +1,7 @@
-"""Process: training jobs in, body schema versions out. The only process that imports torch."""
+"""Process: training jobs in, body schema versions out."""
 
 from __future__ import annotations
 
-import importlib
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -16,12 +15,7 @@ def main(launch: Launch) -> None:
     shipped = file.read_bytes() if file is not None and file.exists() else None
     learner = ThreadPoolExecutor(1, "learner")
 
-    def warm_up() -> None:
-        learner.submit(lambda: importlib.import_module("services.body_schema.train").warm_up())
-
-    retrainer = Retrainer(
-        launch.settings, launch.store, shipped, learner.submit, warm_up, time.perf_counter
-    )
+    retrainer = Retrainer(launch.settings, launch.store, shipped, learner.submit, time.perf_counter)
     try:
         launch.run(retrainer)
     finally:

@@ -182,8 +182,7 @@ def _descend(
     stretch[wanted] = mean[wanted]
     for _ in range(ROUNDS):
         geometry.place(sites)
-        both = [geometry.lengths_and_site_slopes(t) for t in data.theta]
-        path, slopes = np.array([b[0] for b in both]), np.array([b[1] for b in both])
+        path, slopes = geometry.lengths_and_site_slopes(data.theta)
         moved = 0.0
         for k in np.flatnonzero(wanted):
             own = np.flatnonzero(geometry.wire_of_site == k)

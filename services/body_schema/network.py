@@ -5,7 +5,7 @@ mask 110 asks for lengths, mask 011 for joint angles, mask 101 for tensions. A g
 out enters as zeros. Everything enters and leaves scaled without offset, so that zero stays zero:
 theta / scale, f / scale, (l - reference) / scale.
 
-`forward` is written once; training gives it hidden layers of torch.
+`forward` is written once; training gives it hidden layers that remember what entered them.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def hidden(x: Array, w: Array, b: Array) -> Array:
 def forward(
     weights: Sequence[Sequence[Any]], x: Any, hidden: Callable[[Any, Any, Any], Any] = hidden
 ) -> Any:
-    """The whole network, x (B, N + 2 M + 3) -> (B, N + 2 M), of numpy or of torch."""
+    """The whole network, x (B, N + 2 M + 3) -> (B, N + 2 M)."""
     (w1, b1), (w2, b2), (w3, b3), (w4, b4), (w5, b5), (w6, b6) = weights
     h = hidden(x, w1, b1)  # (B, N + 2 M + 3) -> (B, 200)
     h = hidden(h, w2, b2)  # (B, 200) -> (B, 30)

@@ -10,7 +10,6 @@ times the residual. `calmed` solves for all masks at once, with small weights, t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -29,6 +28,7 @@ from services.body_schema.schema import Schema
 
 RIDGE = 1e-9  # of scaled quantities, towards the weights as they were
 CALM = 1e-3  # the same, towards zero
+BLOCK = 256  # samples
 
 
 def polished(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
@@ -36,33 +36,43 @@ def polished(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
     c = columns(len(schema.joints), len(schema.muscles))
     targets = schema.scaled(theta, f, length)
     rows = np.column_stack(schema.weights[-1])  # (N + 2 M, 201)
-    groups = (c.length, c.theta, c.tension)
-    masks = (LENGTHS, ANGLES, TENSIONS)
-    for own, h in zip(groups, _entering(schema, targets, masks), strict=True):
-        gram = h.T @ h / len(h) + RIDGE * np.eye(h.shape[1])
-        wanted = h.T @ targets[:, own] / len(h) + RIDGE * rows[own].T
-        rows[own] = np.linalg.solve(gram, wanted).T
+    for own, mask in ((c.length, LENGTHS), (c.theta, ANGLES), (c.tension, TENSIONS)):
+        gram, wanted = _normal_equations(schema, targets, (mask,), own)
+        gram += RIDGE * np.eye(len(gram))
+        rows[own] = np.linalg.solve(gram, wanted + RIDGE * rows[own].T).T
     return _with_last(schema, rows)
 
 
 def calmed(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
     """The same, all groups under all masks, with weights that are as small as they can be."""
     targets = schema.scaled(theta, f, length)
-    h = np.vstack(list(_entering(schema, targets, MASKS)))
-    gram = h.T @ h / len(h) + CALM * np.eye(h.shape[1])
-    wanted = h.T @ np.tile(targets, (len(MASKS), 1)) / len(h)
-    rows = np.asarray(np.linalg.solve(gram, wanted).T, dtype=np.float64)
-    return _with_last(schema, rows)
+    gram, wanted = _normal_equations(schema, targets, MASKS, slice(None))
+    rows = np.linalg.solve(gram + CALM * np.eye(len(gram)), wanted).T
+    return _with_last(schema, np.asarray(rows, dtype=np.float64))
 
 
-def _entering(schema: Schema, targets: Array, masks: tuple[Mask, ...]) -> Iterator[Array]:
-    """What enters the last layer under each mask, (T, 201): a one stands for the bias."""
+def _normal_equations(
+    schema: Schema, targets: Array, masks: tuple[Mask, ...], own: slice
+) -> tuple[Array, Array]:
+    """Means of h h^T (201, 201) and h y^T (201, own): h enters the last layer, y is wanted of it.
+
+    Over all masks and samples, in blocks that stay in the processor's cache.
+    """
     widths = (len(schema.joints), len(schema.muscles), len(schema.muscles))
+    units = len(schema.weights[-2][1]) + 1  # a one stands for the bias
+    gram, wanted = np.zeros((units, units)), np.zeros((units, targets[:, own].shape[1]))
     for mask in masks:
-        h = np.hstack((targets * np.repeat(mask, widths), np.tile(mask, (len(targets), 1))))
-        for w, b in schema.weights[:-1]:
-            h = hidden(h, w, b)
-        yield np.hstack((h, np.ones((len(h), 1))))
+        given = np.repeat(mask, widths)
+        for start in range(0, len(targets), BLOCK):
+            block = targets[start : start + BLOCK]
+            h = np.hstack((block * given, np.tile(mask, (len(block), 1))))
+            for w, b in schema.weights[:-1]:
+                h = hidden(h, w, b)
+            h = np.hstack((h, np.ones((len(h), 1))))
+            gram += h.T @ h
+            wanted += h.T @ block[:, own]
+    count = len(masks) * len(targets)
+    return gram / count, wanted / count
 
 
 def _with_last(schema: Schema, rows: Array) -> Schema:

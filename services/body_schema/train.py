@@ -1,4 +1,4 @@
-"""Training of the body schema. Only the `train` files import torch.
+"""Training of the body schema.
 
     train_old  h_old from data
     relearn    h_new from h_old and a handful of motions, the paper's loss and its schedules
@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from runtime.messages import Motion
 from services.body_schema.growth import grow, shrink
@@ -31,7 +30,15 @@ from services.body_schema.network import (
 )
 from services.body_schema.polish import calmed, polished
 from services.body_schema.schema import Schema
-from services.body_schema.train_network import Trainee, losses_and_slope
+from services.body_schema.train_network import (
+    Adam,
+    Picks,
+    Single,
+    Trainee,
+    losses_and_slope,
+    one_thread,
+    single,
+)
 
 Progress = Callable[[int, int, float, float, float], None]  # epoch, epochs, loss, new, old
 
@@ -65,11 +72,7 @@ METHODS: dict[str, Callable[[float], float]] = {  # done part of the epochs -> w
 }
 
 
-def warm_up() -> None:
-    """Make torch import what it leaves to its first optimiser: two seconds of the first job."""
-    torch.optim.Adam([torch.zeros(1, requires_grad=True)], fused=True)
-
-
+@one_thread
 def train_old(
     joints: tuple[str, ...],
     muscles: tuple[str, ...],
@@ -106,6 +109,7 @@ def train_old(
     return _with_residuals(replace(blank, weights=weights), theta, f, length)
 
 
+@one_thread
 def relearn(
     old: Schema,
     motions: Sequence[Motion],
@@ -143,6 +147,7 @@ def relearn(
     return _with_residuals(replace(start, weights=weights), theta, f, length)
 
 
+@one_thread
 def teach(
     old: Schema,
     motions: Sequence[Motion],
@@ -185,6 +190,7 @@ def teach(
     return replace(taught, tension_range_n=np.tile((SLACK_N, strong), (len(start.muscles), 1)))
 
 
+@one_thread
 def distil(
     old: Schema,
     keep: tuple[str, ...],
@@ -240,9 +246,9 @@ def _random(schema: Schema, seed: int) -> Schema:
 class _Data:
     """Scaled samples and their three masked inputs."""
 
-    inputs: torch.Tensor  # (T, 3, N + 2 M + 3)
-    targets: torch.Tensor  # (T, 1, N + 2 M)
-    keep: torch.Tensor  # (T, 1, N + 2 M): r, 0 where the target is not known
+    inputs: Single  # (T, 3, N + 2 M + 3)
+    targets: Single  # (T, 1, N + 2 M)
+    keep: Single  # (T, 1, N + 2 M): r, 0 where the target is not known
 
     def __len__(self) -> int:
         return len(self.targets)
@@ -250,9 +256,9 @@ class _Data:
     def __add__(self, other: _Data) -> _Data:
         """These samples and behind them the others."""
         return _Data(
-            torch.cat((self.inputs, other.inputs)),
-            torch.cat((self.targets, other.targets)),
-            torch.cat((self.keep, other.keep)),
+            np.concatenate((self.inputs, other.inputs)),
+            np.concatenate((self.targets, other.targets)),
+            np.concatenate((self.keep, other.keep)),
         )
 
 
@@ -262,18 +268,16 @@ def _scaled(schema: Schema, theta: Array, f: Array, length: Array) -> _Data:
     inputs = [
         np.hstack((targets * np.repeat(mask, widths), np.tile(mask, (len(f), 1)))) for mask in MASKS
     ]
-    known = torch.tensor(targets[:, None], dtype=torch.float32)
-    return _Data(
-        torch.tensor(np.stack(inputs, axis=1), dtype=torch.float32), known, torch.ones_like(known)
-    )
+    known = single(targets[:, None])
+    return _Data(single(np.stack(inputs, axis=1)), known, np.ones_like(known))
 
 
 def _with_zeros(data: _Data, n: int, m: int) -> _Data:
     """The same samples for a body of one muscle more, which reads zero and is not scored."""
     at = [n + m, n + 2 * m]
 
-    def insert(a: torch.Tensor) -> torch.Tensor:
-        return torch.tensor(np.insert(a.numpy(), at, 0.0, axis=-1))
+    def insert(a: Single) -> Single:
+        return np.insert(a, at, 0.0, axis=-1)
 
     return _Data(insert(data.inputs), insert(data.targets), insert(data.keep))
 
@@ -313,12 +317,11 @@ def _train(
     progress: Progress | None,
 ) -> Weights:
     """Weights that make L_new + w L_old small, from `start`'s."""
-    torch.set_num_threads(1)  # the matrices are small, threads only cost; and it is reproducible
-    random = torch.Generator().manual_seed(seed)
+    picks = Picks(seed)
     network = Trainee(start.weights)
-    optimiser = torch.optim.Adam([network.parameters], lr=recipe.rate, fused=True)
+    adam = Adam(network)
     sizes = (len(start.joints), len(start.muscles), len(start.muscles))
-    group_of = torch.eye(3).repeat_interleave(torch.tensor(sizes), dim=0)  # (N + 2 M, 3)
+    group_of = single(np.repeat(np.eye(3), sizes, axis=0))  # (N + 2 M, 3)
 
     count = len(new)
     data = new + old[0] if old else new
@@ -327,19 +330,19 @@ def _train(
     steps = epochs * per_epoch
     for epoch in range(epochs):
         w = old[1](epoch / epochs) if old else 0.0
-        rows = torch.randperm(count, generator=random)[None]
+        order = picks.shuffled(count)[None]
         if w:
-            replayed = torch.randint(count, len(data), (1, count), generator=random)
-            rows = torch.cat((rows, replayed))
-        weights = torch.tensor((1.0, w))[: len(rows)]  # of L_new, L_old
-        sums = torch.zeros(2)
-        for i, picks in enumerate(torch.split(rows, recipe.batch, dim=1)):  # (2 or 1, B)
-            optimiser.param_groups[0]["lr"] = recipe.rate_at((epoch * per_epoch + i) / steps)
-            out = network.forward(data.inputs[picks].flatten(0, 2))
-            error = (out.view(*picks.shape, 3, -1) - data.targets[picks]) * data.keep[picks]
+            order = np.concatenate((order, picks.drawn(count, len(data), count)[None]))
+        weights = single(np.array((1.0, w)))[: len(order)]  # of L_new, L_old
+        sums = np.zeros(2)
+        for i in range(per_epoch):
+            rows = order[:, i * recipe.batch : (i + 1) * recipe.batch]  # (2 or 1, B)
+            x = data.inputs[rows]  # (2 or 1, B, 3, N + 2 M + 3)
+            out = network.forward(x.reshape(-1, x.shape[-1]))
+            error = (out.reshape(*x.shape[:3], -1) - data.targets[rows]) * data.keep[rows]
             losses, slope = losses_and_slope(error, group_of, weights)
-            network.backward(slope.flatten(0, 2))
-            optimiser.step()
+            network.backward(slope.reshape(out.shape))
+            adam.step(recipe.rate_at((epoch * per_epoch + i) / steps))
             sums[: len(losses)] += losses
         if progress:
             loss_new, loss_old = (sums / per_epoch).tolist()

@@ -42,7 +42,7 @@ class Geometry(Protocol):
         """(M,) [m] and (M, N) [m/rad] at theta (N,) [rad]."""
 
     def lengths_and_site_slopes(self, theta: Array) -> tuple[Array, Array]:
-        """(M,) [m] and (P, 3): how a wire's length changes with each of its sites."""
+        """At theta (T, N) [rad]: (T, M) [m], and its slope by a wire's own sites (T, P, 3)."""
 
 
 def stretch_terms(f: Array) -> Array:

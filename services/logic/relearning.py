@@ -14,6 +14,7 @@ from pathlib import Path
 
 from runtime.messages import Motion, MusclePath, TrainingJob
 from runtime.settings import RobotSettings
+from services.body_schema import train
 from services.body_schema.fit_wires import USUAL, Beliefs, fit_wires
 from services.body_schema.motions import TrainingError, refit, reordered, stacked
 from services.body_schema.schema import Schema
@@ -32,8 +33,6 @@ def first(job: TrainingJob, settings: RobotSettings, epoch_done: EpochDone) -> S
     Raises:
         TrainingError: the motions do not do.
     """
-    from services.body_schema import train  # torch comes in with the first job
-
     paths = nominal_paths(settings.body_file)
     model = fitted(None, job.motions, job.muscles, settings, paths, job.seed)
     range_rad = Skeleton(settings.body_file, settings.joints).range_rad
@@ -56,8 +55,6 @@ def grown(base: Schema, job: TrainingJob, settings: RobotSettings, epoch_done: E
     Raises:
         TrainingError: the job is not that, or its motions or paths do not do.
     """
-    from services.body_schema import train  # torch comes in with the first job
-
     added = [muscle for muscle in job.muscles if muscle not in base.muscles]
     if len(added) > 1 or not set(base.muscles) <= set(job.muscles):
         raise TrainingError(
@@ -91,8 +88,6 @@ def by_wires(
     Raises:
         TrainingError: the motions do not do, or nobody knows how a muscle's wire nominally runs.
     """
-    from services.body_schema import train
-
     muscles = (*base.muscles, *([added] if added else []))
     told = {name: path for name, path in (paths or {}).items() if name not in base.muscles}
     known = known_paths(base, settings) | told
@@ -145,8 +140,6 @@ def shrunk(base: Schema, job: TrainingJob, epoch_done: EpochDone) -> Schema:
     Raises:
         TrainingError: the job's muscles are not fewer.
     """
-    from services.body_schema import train
-
     if not set(job.muscles) < set(base.muscles):
         raise TrainingError(f"{', '.join(job.muscles)} are not fewer than {base.muscles}")
     return train.distil(base, job.muscles, seed=job.seed, progress=epoch_done)

@@ -62,7 +62,6 @@ class Retrainer:
         store: where versions outlive the process.
         shipped: bytes of the schema that comes with the robot; version 1 of an empty store.
         start_job: runs a callable beside or inside the present one.
-        warm_up: called once the stored schema is out, to make the first job quick.
         wall_s: a clock, for `train_s` alone.
     """
 
@@ -76,13 +75,11 @@ class Retrainer:
         store: Store,
         shipped: bytes | None,
         start_job: StartJob,
-        warm_up: Callable[[], None] = lambda: None,
         wall_s: Callable[[], float] = lambda: 0.0,
     ) -> None:
         self._settings = settings
         self._versions = Versions(store, shipped)
         self._start_job = start_job
-        self._warm_up: Callable[[], None] | None = warm_up
         self._wall_s = wall_s
         self._run: _Run | None = None
         self._out: list[Message] = [
@@ -125,9 +122,6 @@ class Retrainer:
 
     def tick(self, now_ns: int) -> Iterator[Message]:
         """What is new: versions, progress, the end of a job."""
-        if self._warm_up is not None and not self._out:
-            self._warm_up()  # from the second tick on: the stored schema is out by now
-            self._warm_up = None
         run = self._run
         if run is not None and run.running is None:
             run.started_s = self._wall_s()

@@ -103,20 +103,34 @@ class Wiring:
         return data.ten_length.copy(), self._coordinates.pulled(dense, data.qpos)
 
     def lengths_and_site_slopes(self, theta: Array) -> tuple[Array, Array]:
-        """Lengths (M,) [m] and the slope of each site's wire by the site (P, 3), link's frame."""
-        self._move(theta)
+        """Lengths and the slope of each site's wire by the site, in the link's frame.
+
+        At T postures: theta (T, N) [rad] -> (T, M) [m], (T, P, 3).
+        """
         data = self._data
-        used = int(data.ten_wrapadr[-1] + data.ten_wrapnum[-1])
-        points = data.wrap_xpos.reshape(-1, 3)[:used]
-        steps = np.diff(points, axis=0)
-        steps[data.ten_wrapadr[1:] - 1] = 0.0  # from one wire's end to the next one's beginning
-        steps /= np.sqrt(np.maximum((steps * steps).sum(axis=1, keepdims=True), TINY_M2))
+        felt = (data.ten_length, data.wrap_xpos, data.wrap_obj, data.xmat, data.ten_wrapadr)
+        seen = [np.empty((len(theta), *array.shape), array.dtype) for array in felt]
+        last = np.empty(len(theta), dtype=int)  # number of the last point
+        for t, posture in enumerate(theta):
+            self._move(posture)
+            for copies, array in zip(seen, felt, strict=True):
+                copies[t] = array
+            last[t] = data.ten_wrapadr[-1] + data.ten_wrapnum[-1] - 1
+        length, points, object_of, turn, first = seen
+        points = points.reshape(len(theta), -1, 3)
+        number = np.arange(points.shape[1])
+        steps = np.diff(points, axis=1)
+        # from one wire's end to the next one's beginning, and behind the last one
+        np.put_along_axis(steps, first[:, 1:, None] - 1, 0.0, axis=1)
+        steps[number[:-1] >= last[:, None]] = 0.0
+        steps /= np.sqrt(np.maximum((steps * steps).sum(axis=2, keepdims=True), TINY_M2))
         pull = np.zeros_like(points)
-        pull[1:] += steps
-        pull[:-1] -= steps
-        pull = pull[data.wrap_obj.reshape(-1)[:used] == SITE]  # (P, 3) in the world's frame
-        turn = data.xmat[self._body].reshape(-1, 3, 3)
-        return data.ten_length.copy(), np.einsum("pji,pj->pi", turn, pull)
+        pull[:, 1:] += steps
+        pull[:, :-1] -= steps
+        on_site = (object_of.reshape(len(theta), -1) == SITE) & (number <= last[:, None])
+        pull = pull[on_site].reshape(len(theta), -1, 3)  # (T, P, 3) in the world's frame
+        turn = turn.reshape(len(theta), -1, 3, 3)[:, self._body]
+        return length, np.einsum("tpji,tpj->tpi", turn, pull)
 
     def _move(self, theta: Array) -> None:
         data = self._data

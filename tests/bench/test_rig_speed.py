@@ -15,7 +15,6 @@ from experiments.sequence import Trace, run_sequence
 from experiments.session import RigSession
 from runtime import messages as m
 from runtime.settings import load_robot
-from services.body_schema.train import warm_up
 
 BUDGET = 10.0  # x real time on a quiet core
 LEAST = 1.0  # a busy machine counts other processes' cache misses and waits, too
@@ -61,7 +60,6 @@ def test_the_sweep() -> None:
 
 @pytest.mark.timeout(600)
 def test_the_whole_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
-    warm_up()
     learning = Lap(0.0, 0.0)
     at_once = rig_module._at_once
 

@@ -15,7 +15,7 @@ from runtime.messages import Message
 from runtime.settings import RobotSettings, load_robot
 from services.body_schema.control import plan
 from services.body_schema.schema import Schema
-from services.body_schema.train import Recipe, relearn, train_old, warm_up
+from services.body_schema.train import Recipe, relearn, train_old
 from tests.bench.timing import p50_us, tell
 from tests.unit import analytic_body as body
 
@@ -46,7 +46,6 @@ def test_questions_to_the_schema(settings: RobotSettings) -> None:
 
 @pytest.mark.timeout(600)
 def test_relearning() -> None:
-    warm_up()
     theta, f, length = body.random_data(3000, 3, seed=1)
     old = train_old(body.JOINTS, body.MUSCLES[:3], theta, f, length, recipe=Recipe(1200, 48, 4e-3))
     print()

@@ -57,7 +57,8 @@ def test_growth_survives_the_death_of_executive_and_retrainer(robot: Robot) -> N
     _, again = watch.wait_for(m.ExecutiveState, lambda x: x.stage == "collect", since=killed)
     assert again.step >= state.step, "motions were collected again"
 
-    watch.wait_for(m.TrainingProgress, lambda x: x.stage == "training", since=killed, timeout_s=60)
+    # at its first word: a second later it is done
+    watch.wait_for(m.TrainingProgress, lambda x: x.stage == "starting", since=killed, timeout_s=60)
     killed = watch.mark()
     killed_at = robot.kill("retrainer")
     watch.wait_event("process_died", since=killed)

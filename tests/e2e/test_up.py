@@ -92,7 +92,7 @@ def test_neither_hears_the_other(fleet: Fleet) -> None:
     for name, watch in fleet.watches.items():
         table = watch.last(m.GroupState).processes
         pids[name] = {row.process: row.pid for row in table}
-        for process in pids[name]:  # the retrainer is nice, and slow to warm up
+        for process in pids[name]:  # the retrainer is nice, and comes late
             watch.wait_for(m.Health, by(process), since=0)
         told = {(x.process, x.pid) for x in watch.of(m.Health) if x.process != "supervisor"}
         assert told == set(pids[name].items())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
@@ -379,18 +377,3 @@ def _as_schema_says(schema: Schema, order: tuple[str, ...], offset_m: float) -> 
     length = schema.lengths(theta, f[:, inverse])[:, columns]
     length[:, -1] += offset_m
     return body.motion(theta, f, length, np.zeros(50, dtype=bool))
-
-
-def test_the_schema_is_out_before_anything_is_warmed_up(store: MemoryStore) -> None:
-    warmed: list[bool] = []
-    retrainer = Retrainer(SETTINGS, store, SHIPPED, Later(), lambda: warmed.append(True))
-    assert out(retrainer, m.SchemaVersion)
-    assert not warmed
-    for _ in range(3):
-        out(retrainer)
-    assert warmed == [True]
-
-
-def test_torch_stays_out_until_there_is_something_to_learn() -> None:
-    code = "import sys, services.retrainer; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -6,16 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from runtime.messages import Motion
 from services.body_schema import train
 from services.body_schema.growth import grow
 from services.body_schema.motions import TrainingError, refit, residuals_m, taut_samples
-from services.body_schema.network import Array, Mask, forward
+from services.body_schema.network import Array, Mask, Weights, forward
 from services.body_schema.schema import Schema
 from services.body_schema.train import Recipe, distil, relearn, train_old
-from services.body_schema.train_network import Trainee, losses_and_slope
+from services.body_schema.train_network import (
+    Adam,
+    Picks,
+    Trainee,
+    losses_and_slope,
+    single,
+)
 from tests.unit import analytic_body as body
 
 OLD, NEW = body.MUSCLES[:3], body.MUSCLES[3]
@@ -135,33 +140,58 @@ def test_losses_are_the_papers_norms(old: Schema) -> None:
     assert seen[0] == pytest.approx(expected, rel=1e-4)
 
 
-def test_the_gradient_written_out_is_that_of_autograd(old: Schema) -> None:
-    random = torch.Generator().manual_seed(1)
+def test_the_gradient_written_out_is_that_of_finite_differences(old: Schema) -> None:
+    rng = np.random.default_rng(1)
     picked, masks, inputs, outputs = 5, 3, 1 + 2 * 3 + 3, 1 + 2 * 3
-    x = torch.randn((2 * picked * masks, inputs), generator=random)
-    target = torch.randn((2, picked, masks, outputs), generator=random)
-    group_of = torch.eye(3).repeat_interleave(torch.tensor((1, 3, 3)), dim=0)
-    weights = torch.tensor((1.0, 0.3))
+    x = rng.normal(size=(2 * picked * masks, inputs))
+    target = rng.normal(size=(2, picked, masks, outputs))
+    weights = np.array((1.0, 0.3))
+
+    def loss(layers: Weights) -> Array:
+        error = forward(layers, x).reshape(target.shape) - target
+        groups = (error[..., :1], error[..., 1:4], error[..., 4:])
+        return np.asarray(sum(np.linalg.norm(g, axis=-1) for g in groups).sum(axis=2).mean(axis=1))
+
+    def moved(layers: Weights, way: Weights, h: float) -> Weights:
+        return tuple((w + h * v, b + h * c) for (w, b), (v, c) in zip(layers, way, strict=True))
 
     network = Trainee(old.weights)
-    losses, slope = losses_and_slope(
-        network.forward(x).view(target.shape) - target, group_of, weights
-    )
-    network.backward(slope.flatten(0, 2))
+    error = network.forward(single(x)).reshape(target.shape) - single(target)
+    group_of = single(np.repeat(np.eye(3), (1, 3, 3), axis=0))
+    losses, slope = losses_and_slope(error, group_of, single(weights))
+    network.backward(slope.reshape(len(x), outputs))
+    assert losses.tolist() == pytest.approx(loss(old.weights).tolist(), rel=1e-5)
 
-    layers = [
-        tuple(torch.tensor(a, dtype=torch.float32, requires_grad=True) for a in layer)
-        for layer in old.weights
-    ]
-    error = forward(layers, x, lambda x, w, b: torch.tanh(x @ w.T + b)).view(target.shape) - target
-    groups = (error[..., :1], error[..., 1:4], error[..., 4:])
-    norms = sum(torch.linalg.vector_norm(group, dim=-1) for group in groups)
-    expected = norms.sum(dim=2).mean(dim=1)
-    torch.autograd.backward(expected @ weights)
-    assert losses.tolist() == pytest.approx(expected.tolist(), rel=1e-5)
-    gradient = torch.cat([a.grad.flatten() for layer in layers for a in layer])
-    assert network.parameters.grad is not None
-    torch.testing.assert_close(network.parameters.grad, gradient, rtol=1e-4, atol=1e-6)
+    for layer in range(len(old.weights)):
+        for part in range(2):  # weights, biases
+            away = [[np.zeros_like(a) for a in row] for row in old.weights]
+            away[layer][part] = rng.normal(size=old.weights[layer][part].shape)
+            direction = tuple((w, b) for w, b in away)
+            ends = [loss(moved(old.weights, direction, h)) for h in (1e-6, -1e-6)]
+            expected = (ends[0] - ends[1]) @ weights / 2e-6
+            found = network.gradient.astype(float) @ Trainee(direction).parameters
+            assert found == pytest.approx(expected, rel=1e-3, abs=1e-5), (layer, part)
+
+
+def test_descent_is_adams(old: Schema) -> None:
+    """The paper's formulas, in double precision, over a few steps."""
+    network, rng = Trainee(old.weights), np.random.default_rng(2)
+    adam, x = Adam(network), network.parameters.astype(float)
+    m = v = np.zeros_like(x)
+    for t in range(1, 6):
+        g = rng.normal(size=len(x))
+        network.gradient[:] = g
+        adam.step(rate=0.01 / t)
+        m, v = 0.9 * m + 0.1 * g, 0.999 * v + 0.001 * g**2
+        x -= 0.01 / t * (m / (1 - 0.9**t)) / (np.sqrt(v / (1 - 0.999**t)) + 1e-8)
+    np.testing.assert_allclose(network.parameters, x, atol=1e-5)
+
+
+def test_samples_come_in_the_order_in_which_torch_draws_them() -> None:
+    picks = Picks(3)  # torch.Generator().manual_seed(3)
+    assert picks.shuffled(10).tolist() == [6, 0, 3, 7, 8, 5, 1, 9, 2, 4]  # torch.randperm
+    assert picks.drawn(10, 1000, 6).tolist() == [29, 854, 451, 165, 399, 316]  # torch.randint
+    assert picks.shuffled(4).tolist() == [1, 0, 2, 3]
 
 
 def test_copying_nothing_is_the_papers_control(old: Schema) -> None:

@@ -22,7 +22,7 @@ from runtime.hubs import Claim, Hub, HubError
 def test_stream_needs_neither_rerun_nor_mujoco() -> None:
     code = (
         "import sys, dashboard.stream, dashboard.commands, dashboard.summary;"
-        "heavy = {'rerun', 'mujoco', 'matplotlib.pyplot', 'torch'} & set(sys.modules);"
+        "heavy = {'rerun', 'mujoco', 'matplotlib.pyplot'} & set(sys.modules);"
         "sys.exit(str(sorted(heavy)) if heavy else 0)"
     )
     root = Path(__file__).parents[2]
