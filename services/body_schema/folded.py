@@ -1,37 +1,24 @@
 """One mask of the network made ready to serve: everything constant is folded into its weights.
 
 The groups that a mask leaves out are zero and the mask itself is constant, so their columns
-vanish; scales and references are taken into the first and last layer. Every layer has one unit
-more, which is always one and carries the biases. What remains is products and tanh, from SI units
-to SI units, that numpy evaluates in about 10 us.
+vanish; scales and references are taken into the first and last layer. Every hidden layer has one
+unit more, which is always one and carries the biases. What remains is products and tanh, from SI
+units to SI units, that numpy evaluates in about 10 us.
 
-A grown network's old outputs are bit-identical: a new muscle's inputs come last, where zeros stood
-before to fill up a block, and each output is a sum of its own.
+The first layer is summed column by column and the last row by row, so that a column or row of
+zeros that growth adds cannot change a rounding: the grown network's old outputs are bit-identical.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-from services.body_schema.network import Array, Mask, Weights
+from services.body_schema.network import Array, Weights
 
 Indices = NDArray[np.intp]
 
 ALWAYS_ONE = 50.0  # tanh of it is 1 to the last bit
-BLOCK = 8  # a product adds up so many rows, or a part of them, before it goes on
-
-
-def entrances(mask: Mask, joints: int, muscles: int) -> list[slice]:
-    """Rows of the first layer at which each given group enters: joints, then muscle by muscle.
-
-    Row 0 is for what is always one.
-    """
-    begin, each = 1 + joints * mask.theta, mask.tension + mask.length
-    own = [slice(begin + k, begin + each * muscles, each) for k in range(each)]
-    return [slice(1, begin)] * mask.theta + own
 
 
 def inner_layers(weights: Weights) -> tuple[Array, ...]:
@@ -47,10 +34,9 @@ class Folded:
         weights: Weights,
         inner: tuple[Array, ...],  # `inner_layers` of the same weights
         *,
-        inputs: Sequence[slice],  # columns of each given group
-        places: Sequence[slice],  # its `entrances`
-        scale_in: Array,  # (columns,)
-        offset_in: Array,  # (columns,): subtracted before scaling
+        inputs: Indices,  # (K,) which columns a and b are
+        scale_in: Array,  # (K,)
+        offset_in: Array,  # (K,): subtracted before scaling
         constant: Array,  # (columns,): the inputs that do not change, scaled
         outputs: Indices,  # (R,) which rows are asked for
         scale_out: Array,  # (R,)
@@ -58,26 +44,21 @@ class Folded:
     ) -> None:
         w1, b1 = weights[0]
         w6, b6 = weights[-1]
-        rows = -(-max(place.stop for place in places) // BLOCK) * BLOCK
-        first = np.zeros((rows, len(b1) + 1))
-        first[0] = np.append(b1 + (w1.T * constant[:, None]).sum(axis=0), ALWAYS_ONE)
-        for columns, place in zip(inputs, places, strict=True):
-            first[place, :-1] = w1[:, columns].T / scale_in[columns, None]
-            first[0] -= (first[place] * offset_in[columns, None]).sum(axis=0)
-        self._layers = (first, *inner)
-        self._a, self._b = places
-        # a sample, and beside it what one unit more of each number of `a` is
-        self._with_slopes = np.eye(rows)[[0, *range(rows)[self._a]]]
+        first = w1[:, inputs].T / scale_in[:, None]
+        moved = (first * offset_in[:, None]).sum(axis=0)
+        bias = b1 + (w1.T * constant[:, None]).sum(axis=0) - moved
+        self._first = np.pad(first, ((0, 0), (0, 1)))  # (K, 201)
+        self._bias = np.append(bias, ALWAYS_ONE)  # (201,)
+        self._inner = inner
         offset = b6[outputs] * scale_out + offset_out
         self._last = np.column_stack((w6[outputs] * scale_out[:, None], offset))  # (R, 201)
 
     def __call__(self, a: Array, b: Array) -> Array:
         """One sample: y (R,); or many, (B, N) or (B, M) each -> (B, R), equal but for rounding."""
-        h = np.zeros((*a.shape[:-1], len(self._layers[0])))
-        h[..., 0] = 1.0
-        h[..., self._a] = a
-        h[..., self._b] = b
-        for w in self._layers:
+        h = self._entered(a, b) if a.ndim == 1 else np.hstack((a, b)) @ self._first
+        h += self._bias
+        np.tanh(h, h)
+        for w in self._inner:
             h = h.dot(w)
             np.tanh(h, h)
         y: Array = np.vecdot(self._last, h) if h.ndim == 1 else h.dot(self._last.T)
@@ -85,16 +66,27 @@ class Folded:
 
     def with_jacobian(self, a: Array, b: Array) -> tuple[Array, Array]:
         """One sample: y (R,) and dy/da (R, len(a)). Forward mode: h and its slopes go together."""
-        d = self._with_slopes.copy()
-        d[0, self._a] = a
-        d[0, self._b] = b
-        for w in self._layers:
+        d = np.empty((1 + len(a), len(self._bias)))
+        h, slopes = d[:1], d[1:]
+        np.add(self._entered(a, b), self._bias, out=h[0])
+        slopes[:] = self._first[: len(a)]
+        _bend(h, slopes)
+        for w in self._inner:
             d = d.dot(w)
             h, slopes = d[:1], d[1:]
-            np.tanh(h, h)
-            slopes -= slopes * (h * h)
-        y: Array = np.vecdot(self._last, d[0])
+            _bend(h, slopes)
+        y: Array = np.vecdot(self._last, h[0])
         return y, self._last.dot(slopes.T)
+
+    def _entered(self, a: Array, b: Array) -> Array:
+        entered: Array = np.add.reduce(self._first * np.concatenate((a, b))[:, None], axis=0)
+        return entered
+
+
+def _bend(h: Array, slopes: Array) -> None:
+    """H (1, units) through tanh, and what it makes of the slopes (n, units), in place."""
+    np.tanh(h, h)
+    slopes -= slopes * (h * h)
 
 
 def _with_ones(w: Array, b: Array) -> Array:

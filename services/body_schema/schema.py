@@ -22,7 +22,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from services.body_schema.folded import Folded, entrances, inner_layers
+from services.body_schema.folded import Folded, inner_layers
 from services.body_schema.network import (
     ANGLES,
     LENGTHS,
@@ -149,17 +149,16 @@ class Schema:
         c = columns(n, m)
         scale = np.concatenate((self.theta_scale_rad, self.tension_scale_n, self.length_scale_m))
         offset = np.concatenate((np.zeros(n + m), self.length_reference_m))
-        groups = zip((c.theta, c.tension, c.length), mask, strict=True)
+        inputs = np.flatnonzero(np.repeat(mask, (n, m, m)))
         outputs = np.flatnonzero(np.repeat(wanted, (n, m, m)))
         constant = np.zeros(c.mask.stop)
         constant[c.mask] = mask
         return Folded(
             self.weights,
             self._inner,
-            inputs=[group for group, given in groups if given],
-            places=entrances(mask, n, m),
-            scale_in=scale,
-            offset_in=offset,
+            inputs=inputs,
+            scale_in=scale[inputs],
+            offset_in=offset[inputs],
             constant=constant,
             outputs=outputs,
             scale_out=scale[outputs],
