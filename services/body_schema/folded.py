@@ -84,7 +84,7 @@ class Folded:
 
 
 def _bend(h: Array, slopes: Array) -> None:
-    """H (1, units) through tanh, and what it makes of the slopes (n, units), in place."""
+    """Both through tanh, in place: h (1, units), and the slopes (n, units) as it bends them."""
     np.tanh(h, h)
     slopes -= slopes * (h * h)
 
