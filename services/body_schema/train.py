@@ -21,7 +21,13 @@ import torch
 
 from runtime.messages import Motion
 from services.body_schema.growth import grow, shrink
-from services.body_schema.motions import SLACK_N, TrainingError, taut, taut_samples
+from services.body_schema.motions import (
+    SLACK_N,
+    TrainingError,
+    taut,
+    taut_samples,
+    with_length_residuals,
+)
 from services.body_schema.network import (
     MASKS,
     Array,
@@ -292,11 +298,9 @@ def _range(samples: Array) -> Array:
 
 def _with_residuals(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
     """The schema with its usual residuals (root mean square) on these samples."""
-    length_error = schema.lengths(theta, f) - length
     angle_error = schema.estimate(f, length) - theta
     return replace(
-        schema,
-        length_sigma_m=np.sqrt((length_error**2).mean(axis=0)),
+        with_length_residuals(schema, theta, f, length),
         angle_sigma_rad=np.sqrt((angle_error**2).mean(axis=0)),
     )
 
