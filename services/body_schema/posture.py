@@ -30,6 +30,7 @@ FINEST_M = 1e-5  # no length sensor is trusted beyond this, whatever a schema sa
 ROUNDS = 5
 LONGEST_RAD = 0.2  # step of a joint in one round: further the network is not straight
 DONE_RAD = 0.01  # a shorter step is the last: what it leaves goes with its square, 1e-4 rad or so
+ODD, SETTLED_RAD = 3.0, 1e-3  # with a residual that odd weights change, too: only so short a one
 
 
 class Posture(NamedTuple):
@@ -60,12 +61,15 @@ def posture(schema: Schema, f: Array, length: Array) -> Posture:
         step = covariance @ (weighted @ residual + vague * (start - theta))
         step = np.minimum(np.maximum(step, -LONGEST_RAD), LONGEST_RAD)
         theta = theta + step
-        if np.abs(step).max() < DONE_RAD:
+        longest = np.abs(step).max()
+        if longest < DONE_RAD:
             predicted = predicted + jacobian @ step  # over so short a step the network is straight
-            break
+            residual = (length - predicted) / sigma
+            if longest < SETTLED_RAD or np.abs(residual).max() < ODD:
+                break
     else:
         predicted = schema.lengths(theta, f)
-    residual = (length - predicted) / sigma
+        residual = (length - predicted) / sigma
     freedom = max(1, len(f) - len(theta)) + BELIEVED - 2.0
     level = (BELIEVED + float(residual @ residual)) / freedom  # its mean, after both have told
     follow = covariance @ weighted  # (N, M), of lengths in units of sigma
