@@ -29,19 +29,30 @@ from services.body_schema.schema import Schema
 
 RIDGE = 1e-9  # of scaled quantities, towards the weights as they were
 CALM = 1e-3  # the same, towards zero
+ROUNDS = 6  # of weighing anew
+DEVIATION = 1.48  # standard deviations of a normal distribution in a median of absolute values
+TINY = 1e-9
 
 
-def polished(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
-    """The schema with its last layer fitted to theta (T, N) [rad], f (T, M) [N], length (T, M)."""
+def polished(
+    schema: Schema, theta: Array, f: Array, length: Array, *, robust: bool = False
+) -> Schema:
+    """The schema with its last layer fitted to theta (T, N) [rad], f (T, M) [N], length (T, M).
+
+    `robust`: a sample in which a muscle's length is odd counts less. A wire that nearly meets its
+    other end has a kink that no network follows, and squares would make all else follow that.
+    """
     c = columns(len(schema.joints), len(schema.muscles))
     targets = schema.scaled(theta, f, length)
     rows = np.column_stack(schema.weights[-1])  # (N + 2 M, 201)
     groups = (c.length, c.theta, c.tension)
     masks = (LENGTHS, ANGLES, TENSIONS)
     for own, h in zip(groups, _entering(schema, targets, masks), strict=True):
-        gram = h.T @ h / len(h) + RIDGE * np.eye(h.shape[1])
-        wanted = h.T @ targets[:, own] / len(h) + RIDGE * rows[own].T
-        rows[own] = np.linalg.solve(gram, wanted).T
+        wanted = targets[:, own]
+        rows[own] = _solved(h, wanted, rows[own])
+        for _ in range(ROUNDS if robust and own == c.length else 0):
+            counts = _counts(wanted - h @ rows[own].T)
+            rows[own] = _solved(h, wanted, rows[own], counts)
     return _with_last(schema, rows)
 
 
@@ -53,6 +64,19 @@ def calmed(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
     wanted = h.T @ np.tile(targets, (len(MASKS), 1)) / len(h)
     rows = np.asarray(np.linalg.solve(gram, wanted).T, dtype=np.float64)
     return _with_last(schema, rows)
+
+
+def _solved(h: Array, wanted: Array, before: Array, counts: Array | None = None) -> Array:
+    """Rows (R, 201) that make h (T, 201) into wanted (T, R), near those before; counts (T, 1)."""
+    weighted = h if counts is None else h * counts
+    gram = weighted.T @ h / len(h) + RIDGE * np.eye(h.shape[1])
+    return np.asarray(np.linalg.solve(gram, weighted.T @ wanted / len(h) + RIDGE * before.T).T)
+
+
+def _counts(off: Array) -> Array:
+    """What samples count (T, 1), by the muscle that is the oddest among what is off (T, M)."""
+    usual = np.maximum(DEVIATION * np.median(np.abs(off), axis=0), TINY)
+    return np.asarray(1.0 / (1.0 + np.square(off / usual).max(axis=1, keepdims=True)))
 
 
 def _entering(schema: Schema, targets: Array, masks: tuple[Mask, ...]) -> Iterator[Array]:
