@@ -63,6 +63,8 @@ experiments: setup  ## repeat the experiments; hours, and it goes on where it st
 	$(BIN)/python -m experiments lift --variants clean,model --json docs/results/lift.json
 	$(BIN)/python -m experiments ablate elbow --seeds 5 --json docs/results/ablate-elbow.json
 	$(BIN)/python -m experiments ablate arm --seeds 5 --variants model --json docs/results/ablate-arm.json
+	$(BIN)/python -m experiments estimate elbow --seeds 10 --json docs/results/estimate-elbow.json
+	$(BIN)/python -m experiments estimate musashi_arm --seeds 5 --json docs/results/estimate-arm.json
 
 clean:  ## remove what was built, keep .venv
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

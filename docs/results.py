@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments import arm, elbow, lift
+from experiments import arm, elbow, estimate_findings, lift
 from experiments.ablate import ABLATIONS
 from experiments.against import against_table
 from experiments.plots import draw_over_n
@@ -21,6 +21,7 @@ from experiments.tables import markdown_table, ordering_lines
 HERE = Path(__file__).parent
 PAGE = HERE / "science.md"
 EXPERIMENTS = {"elbow": elbow, "arm": arm, "lift": lift}
+ESTIMATES = ("estimate-elbow", "estimate-arm")
 MEASURES = {
     **{name: module.MEASURES for name, module in EXPERIMENTS.items()},
     "elbow-variants": elbow.MEASURES[:2],
@@ -36,6 +37,8 @@ def results(name: str) -> Path:
 def render(name: str) -> str:
     """Tables of all measures, and which method is lower for each N_new."""
     runs = _runs(name)
+    if name in ESTIMATES:
+        return estimate_findings.markdown(runs)
     told = [measure for measure in MEASURES[name] if by_seed(runs, measure.figure)]
     tables = [markdown_table(measure, runs) for measure in told]
     tables += filter(None, [against_table(measure, runs) for measure in told[:2]])
@@ -57,7 +60,7 @@ def _folded(orders: Sequence[str]) -> str:
 
 def with_results(page: str) -> str:
     """The page with all results between their markers."""
-    for name in MEASURES:
+    for name in (*MEASURES, *ESTIMATES):
         begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
         if begin in page and results(name).exists():
             before, _, rest = page.partition(begin)
@@ -91,3 +94,8 @@ if __name__ == "__main__":
     for experiment in EXPERIMENTS:
         if results(experiment).exists():
             draw(experiment)
+    for estimate in ESTIMATES:
+        if results(estimate).exists():
+            estimate_findings.draw_coverage(
+                HERE / "pictures" / estimate, _runs(estimate), "How honest the confidence is"
+            )

@@ -18,7 +18,7 @@ from experiments.direct import learn_direct
 from experiments.learn import recipe_for, taut
 from experiments.watched import Watched
 from runtime.messages import Motion
-from services.body_schema.motions import taut_samples
+from services.body_schema.motions import taut_samples, with_length_residuals
 from services.body_schema.polish import polished
 from services.body_schema.posture import posture
 from services.body_schema.schema import Schema
@@ -32,9 +32,7 @@ def of_first_schema(shipped: Schema, recording: Recording, seed: int, *, quick: 
     """Of a robot as it is shipped; the recording is what its schema is learned from."""
     theta, f, length, held = taut(recording)
     samples = theta[~held], f[~held], length[~held]
-    solved = polished(shipped, *samples)
-    off_m = solved.lengths(*samples[:2]) - samples[2]
-    solved = replace(solved, length_sigma_m=np.sqrt((off_m**2).mean(axis=0)))
+    solved = with_length_residuals(polished(shipped, *samples), *samples)
     recipe = recipe_for(len(shipped.joints), quick=quick)
     return {
         "011": _by_mask(shipped),

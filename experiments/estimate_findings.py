@@ -80,6 +80,45 @@ def _cell(told: Spread, name: str) -> str:
     return (mean if told.seeds == 1 else f"{mean} ± {sd}") + (" %" if share else "")
 
 
+def draw_coverage(path: Path, runs: Sequence[Run], title: str) -> list[Path]:
+    """How many errors lie within once and twice the confidence: each seed, and their mean."""
+    told = [run for run in runs if "within_1" in run["figures"] and "solved" not in run["method"]]
+    cases = list(dict.fromkeys((run["control"], run["variant"]) for run in told))
+
+    def fill(figure: Figure) -> None:
+        axes = figure.subplots()
+        for times, honest, color in ((1, 68.3, STRONGEST), (2, 95.4, ON_PAPER[0])):
+            axes.axvline(honest, color=color, lw=1.2, ls=(0, (5, 2)))
+            for row, case in enumerate(cases):
+                shares = [
+                    100.0 * run["figures"][f"within_{times}"]
+                    for run in told
+                    if (run["control"], run["variant"]) == case
+                ]
+                words = f"within {times} × confidence (bar: mean of seeds, line: honest)"
+                y = row + (times - 1.5) * 0.36
+                axes.plot(
+                    shares, [y] * len(shares), "o", color=color, alpha=0.45, ms=5, label=words
+                )
+                axes.plot(np.mean(shares), y, "|", color=color, ms=15, mew=2.4)
+        axes.set_yticks(range(len(cases)), [", ".join(case) for case in cases])
+        axes.invert_yaxis()
+        axes.set_xlim(0, 101)
+        axes.set_xlabel("share of errors [%]")
+        handles, labels = axes.get_legend_handles_labels()
+        one_each = dict(zip(labels, handles, strict=True))
+        figure.legend(
+            handles=[*one_each.values()],
+            labels=[*one_each],
+            loc="outside lower center",
+            ncols=2,
+            frameon=False,
+            fontsize=8,
+        )
+
+    return save(path, (7.8, 1.5 + 0.55 * len(cases)), title, fill)
+
+
 def draw(path: Path, settings: RobotSettings, panels: Sequence[Panel], title: str) -> list[Path]:
     """Angle over time above, errors with one and two times the confidence below: PNG and SVG.
 

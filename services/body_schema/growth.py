@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,7 @@ def grow(
         length_scale_m=add(schema.length_scale_m, length_scale_m),
         length_reference_m=add(schema.length_reference_m, length_reference_m),
         length_sigma_m=add(schema.length_sigma_m, length_scale_m),
+        length_correlation=None,  # what comes next is trained, and measured anew
         tension_range_n=add(schema.tension_range_n, *tension_range_n),
     )
 
@@ -77,6 +79,7 @@ def shrink(schema: Schema, muscle: str) -> Schema:
         length_scale_m=np.delete(schema.length_scale_m, k),
         length_reference_m=np.delete(schema.length_reference_m, k),
         length_sigma_m=np.delete(schema.length_sigma_m, k),
+        length_correlation=_rows_and_columns(schema, np.delete(np.arange(m), k)),
         tension_range_n=np.delete(schema.tension_range_n, k, axis=0),
     )
 
@@ -102,8 +105,14 @@ def permuted(schema: Schema, muscles: tuple[str, ...]) -> Schema:
         length_scale_m=schema.length_scale_m[order],
         length_reference_m=schema.length_reference_m[order],
         length_sigma_m=schema.length_sigma_m[order],
+        length_correlation=_rows_and_columns(schema, order),
         tension_range_n=schema.tension_range_n[order],
     )
+
+
+def _rows_and_columns(schema: Schema, order: Any) -> Array | None:
+    known = schema.length_correlation
+    return None if known is None else known[np.ix_(order, order)]
 
 
 def _with_ends(weights: Weights, change: Callable[[Array], Array]) -> Weights:

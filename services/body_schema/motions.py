@@ -14,6 +14,7 @@ from services.body_schema.schema import Schema
 
 SLACK_N = 3.6  # 3 N + 3 sigma of the load cell: below, a wire may hang and its length says nothing
 FEWEST = 10
+TINY_M = 1e-9
 
 
 class TrainingError(ValueError):
@@ -81,6 +82,18 @@ def residuals_m(schema: BodyModel, motions: Sequence[Motion]) -> Array:
     squares = np.where(f >= SLACK_N, (length - schema.lengths(theta, f)) ** 2, 0.0)
     enough = np.where(counts >= FEWEST, counts, np.nan)
     return np.asarray(np.sqrt(squares.sum(axis=0) / enough))
+
+
+def with_length_residuals(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
+    """The schema with mask 110's usual residuals on these samples, and how they correlate.
+
+    Root mean square and second moments: what is off in one way everywhere counts, too.
+    """
+    off = schema.lengths(theta, f) - length
+    sigma = np.maximum(np.sqrt((off**2).mean(axis=0)), TINY_M)
+    correlation = off.T @ off / len(off) / np.outer(sigma, sigma)
+    np.fill_diagonal(correlation, 1.0)
+    return replace(schema, length_sigma_m=sigma, length_correlation=correlation)
 
 
 def refit(

@@ -28,51 +28,70 @@ from services.body_schema.schema import Schema
 
 RIDGE = 1e-9  # of scaled quantities, towards the weights as they were
 CALM = 1e-3  # the same, towards zero
-BLOCK = 256  # samples
+BLOCK = 256  # samples that stay in the processor's cache on their way through the layers
+ROUNDS = 6  # of weighing anew
+DEVIATION = 1.48  # standard deviations of a normal distribution in a median of absolute values
+TINY = 1e-9
 
 
-def polished(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
-    """The schema with its last layer fitted to theta (T, N) [rad], f (T, M) [N], length (T, M)."""
+def polished(
+    schema: Schema, theta: Array, f: Array, length: Array, *, robust: bool = False
+) -> Schema:
+    """The schema with its last layer fitted to theta (T, N) [rad], f (T, M) [N], length (T, M).
+
+    `robust`: a sample in which a muscle's length is odd counts less. A wire that nearly meets its
+    other end has a kink that no network follows, and squares would make all else follow that.
+    """
     c = columns(len(schema.joints), len(schema.muscles))
     targets = schema.scaled(theta, f, length)
     rows = np.column_stack(schema.weights[-1])  # (N + 2 M, 201)
     for own, mask in ((c.length, LENGTHS), (c.theta, ANGLES), (c.tension, TENSIONS)):
-        gram, wanted = _normal_equations(schema, targets, (mask,), own)
-        gram += RIDGE * np.eye(len(gram))
-        rows[own] = np.linalg.solve(gram, wanted + RIDGE * rows[own].T).T
+        h, wanted = _entering(schema, targets, mask), targets[:, own]
+        rows[own] = _solved(h, wanted, rows[own])
+        for _ in range(ROUNDS if robust and mask == LENGTHS else 0):
+            counts = _counts(wanted - h @ rows[own].T)
+            rows[own] = _solved(h, wanted, rows[own], counts)
     return _with_last(schema, rows)
 
 
 def calmed(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
     """The same, all groups under all masks, with weights that are as small as they can be."""
     targets = schema.scaled(theta, f, length)
-    gram, wanted = _normal_equations(schema, targets, MASKS, slice(None))
-    rows = np.linalg.solve(gram + CALM * np.eye(len(gram)), wanted).T
-    return _with_last(schema, np.asarray(rows, dtype=np.float64))
+    count = len(MASKS) * len(targets)
+    units = len(schema.weights[-2][1]) + 1
+    gram, wanted = CALM * np.eye(units), np.zeros((units, targets.shape[1]))
+    for mask in MASKS:
+        h = _entering(schema, targets, mask)
+        gram += h.T @ h / count
+        wanted += h.T @ targets / count
+    return _with_last(schema, np.asarray(np.linalg.solve(gram, wanted).T, dtype=np.float64))
 
 
-def _normal_equations(
-    schema: Schema, targets: Array, masks: tuple[Mask, ...], own: slice
-) -> tuple[Array, Array]:
-    """Means of h h^T (201, 201) and h y^T (201, own): h enters the last layer, y is wanted of it.
+def _solved(h: Array, wanted: Array, before: Array, counts: Array | None = None) -> Array:
+    """Rows (R, 201) that make h (T, 201) into wanted (T, R), near those before; counts (T, 1)."""
+    weighted = h if counts is None else h * counts
+    gram = weighted.T @ h / len(h) + RIDGE * np.eye(h.shape[1])
+    return np.asarray(np.linalg.solve(gram, weighted.T @ wanted / len(h) + RIDGE * before.T).T)
 
-    Over all masks and samples, in blocks that stay in the processor's cache.
-    """
+
+def _counts(off: Array) -> Array:
+    """What samples count (T, 1), by the muscle that is the oddest among what is off (T, M)."""
+    usual = np.maximum(DEVIATION * np.median(np.abs(off), axis=0), TINY)
+    return np.asarray(1.0 / (1.0 + np.square(off / usual).max(axis=1, keepdims=True)))
+
+
+def _entering(schema: Schema, targets: Array, mask: Mask) -> Array:
+    """What enters the last layer under a mask, (T, 201): a one stands for the bias."""
     widths = (len(schema.joints), len(schema.muscles), len(schema.muscles))
-    units = len(schema.weights[-2][1]) + 1  # a one stands for the bias
-    gram, wanted = np.zeros((units, units)), np.zeros((units, targets[:, own].shape[1]))
-    for mask in masks:
-        given = np.repeat(mask, widths)
-        for start in range(0, len(targets), BLOCK):
-            block = targets[start : start + BLOCK]
-            h = np.hstack((block * given, np.tile(mask, (len(block), 1))))
-            for w, b in schema.weights[:-1]:
-                h = hidden(h, w, b)
-            h = np.hstack((h, np.ones((len(h), 1))))
-            gram += h.T @ h
-            wanted += h.T @ block[:, own]
-    count = len(masks) * len(targets)
-    return gram / count, wanted / count
+    given = np.repeat(mask, widths)
+    entering = np.ones((len(targets), len(schema.weights[-2][1]) + 1))
+    for start in range(0, len(targets), BLOCK):
+        block = targets[start : start + BLOCK]
+        h = np.hstack((block * given, np.tile(mask, (len(block), 1))))
+        for w, b in schema.weights[:-1]:
+            h = hidden(h, w, b)
+        entering[start : start + BLOCK, :-1] = h
+    return entering
 
 
 def _with_last(schema: Schema, rows: Array) -> Schema:

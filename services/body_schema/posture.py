@@ -6,8 +6,13 @@ The network gives 011 and 110 each as well as it can, and of the two 110 is the 
 far it is usually off, `length_sigma_m`, stands in the schema for each muscle. `rho` is Student's t
 with few degrees of freedom (Lange, Little and Taylor 1989), so that one muscle whose load cell
 sticks is outvoted by the others instead of dragging the joints along. Gauss-Newton with its
-weights; the covariance is that of weighted least squares, `(J^T W J)^-1`, and what does not fit
-widens it: by the residual's mean square for each degree of freedom that the joints leave.
+weights.
+
+Muscles are not off independently: what a network is off by may look like another angle to all of
+them, which no residual betrays. So the covariance is `G C G^T`, with `C` that of the lengths as
+training found it and `G = (J^T W J)^-1 J^T W`, how the joints follow the lengths; times a level,
+by which readings fit worse now than they did then. Residuals tell it with `M - N` degrees of
+freedom; believed it is to be 1, as firmly as two degrees would tell.
 """
 
 from __future__ import annotations
@@ -20,11 +25,13 @@ import numpy as np
 from services.body_schema.network import Array
 from services.body_schema.schema import Schema
 
+BELIEVED = 2.0  # degrees of freedom of an inverse chi-squared prior about 1 for the level
 FREEDOM = 4.0  # of Student's t: a residual of three times the usual one counts a quarter or so
 FINEST_M = 1e-5  # no length sensor is trusted beyond this, whatever a schema says of itself
 ROUNDS = 5
 LONGEST_RAD = 0.2  # step of a joint in one round: further the network is not straight
 DONE_RAD = 0.01  # a shorter step is the last: what it leaves goes with its square, 1e-4 rad or so
+ODD, SETTLED_RAD = 3.0, 1e-3  # with a residual that odd weights change, too: only so short a one
 
 
 class Posture(NamedTuple):
@@ -55,13 +62,19 @@ def posture(schema: Schema, f: Array, length: Array) -> Posture:
         theta = theta + step
         if longest < DONE_RAD:
             predicted = predicted + jacobian.dot(step)  # over so short a step it is straight
-            break
+            residual = (length - predicted) / known.sigma_m
+            if longest < SETTLED_RAD or max(map(abs, residual.tolist())) < ODD:
+                break
     else:
         predicted = schema.lengths(theta, f)
-    residual = (length - predicted) / known.sigma_m
-    freedom = max(1, len(f) - len(theta))
-    level = max(1.0, float(residual.dot(residual)) / freedom)
-    return Posture(theta, np.sqrt(level * covariance.diagonal()), predicted, residual)
+        residual = (length - predicted) / known.sigma_m
+    freedom = max(1, len(f) - len(theta)) + BELIEVED - 2.0
+    level = (BELIEVED + float(residual.dot(residual))) / freedom  # its mean, after both have told
+    follow = covariance.dot(weighted) * known.sigma_m  # (N, M) [rad], of lengths off by sigma
+    alike = schema.length_correlation
+    told = np.vecdot(follow if alike is None else follow.dot(alike), follow)
+    variance = level * told + np.vecdot(covariance.dot(known.vague), covariance)
+    return Posture(theta, np.sqrt(variance), predicted, residual)
 
 
 class _Known(NamedTuple):

@@ -36,6 +36,8 @@ from services.body_schema.wires import Wires
 
 KEY, FORMAT = "myograft", "body-schema-1"
 LAYERS = 6
+CORRELATION = "length_correlation"  # may be missing: older files know of none
+ROUNDING = 1e-6
 
 
 class SchemaError(ValueError):
@@ -63,6 +65,7 @@ class Schema:
     tension_range_n: Array  # (M, 2): where it was learned
     meta: Mapping[str, str] = field(default_factory=dict)
     wires: Wires | None = None  # of these muscles and perhaps of others
+    length_correlation: Array | None = None  # (M, M) of mask 110's residuals; None: independent
 
     def __post_init__(self) -> None:
         n, m = len(self.joints), len(self.muscles)
@@ -71,6 +74,9 @@ class Schema:
         for name, shape in _shapes(n, m).items():
             object.__setattr__(self, name, _checked(name, getattr(self, name), shape))
         object.__setattr__(self, "weights", _checked_weights(self.weights, n, m))
+        if self.length_correlation is not None:
+            kept = _checked_correlation(self.length_correlation, m)
+            object.__setattr__(self, "length_correlation", kept)
         for name in ("theta_scale_rad", "tension_scale_n", "length_scale_m"):
             if not (getattr(self, name) > 0).all():
                 raise SchemaError(f"{name} has to be positive")
@@ -171,6 +177,8 @@ class Schema:
         """One safetensors blob; joints, muscles and meta stand in its header."""
         n, m = len(self.joints), len(self.muscles)
         tensors = {name: np.ascontiguousarray(getattr(self, name)) for name in _shapes(n, m)}
+        if self.length_correlation is not None:
+            tensors[CORRELATION] = np.ascontiguousarray(self.length_correlation)
         for layer, (w, b) in enumerate(self.weights):
             tensors[f"w{layer}"] = np.ascontiguousarray(w, dtype=np.float32)
             tensors[f"b{layer}"] = np.ascontiguousarray(b, dtype=np.float32)
@@ -211,7 +219,13 @@ class Schema:
         except ValueError as error:
             raise SchemaError(str(error)) from error
         return cls(
-            joints=joints, muscles=muscles, weights=weights, meta=meta, wires=wires, **arrays
+            joints=joints,
+            muscles=muscles,
+            weights=weights,
+            meta=meta,
+            wires=wires,
+            length_correlation=tensors.get(CORRELATION),
+            **arrays,
         )
 
 
@@ -238,6 +252,14 @@ def _checked(name: str, value: Array, shape: tuple[int, ...]) -> Array:
     if not np.isfinite(array).all():
         raise SchemaError(f"{name} holds a number that is not finite")
     array.setflags(write=False)
+    return array
+
+
+def _checked_correlation(value: Array, m: int) -> Array:
+    array = _checked(CORRELATION, value, (m, m))
+    whole = np.allclose(array.diagonal(), 1.0) and np.allclose(array, array.T)
+    if not whole or np.linalg.eigvalsh(array)[0] < -ROUNDING:
+        raise SchemaError(f"{CORRELATION} is no matrix of correlations")
     return array
 
 

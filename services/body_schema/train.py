@@ -20,7 +20,13 @@ import numpy as np
 
 from runtime.messages import Motion
 from services.body_schema.growth import grow, shrink
-from services.body_schema.motions import SLACK_N, TrainingError, taut, taut_samples
+from services.body_schema.motions import (
+    SLACK_N,
+    TrainingError,
+    taut,
+    taut_samples,
+    with_length_residuals,
+)
 from services.body_schema.network import (
     MASKS,
     Array,
@@ -39,6 +45,7 @@ from services.body_schema.train_network import (
     one_thread,
     single,
 )
+from services.body_schema.widen import crossed_joints, narrowed, widened
 
 Progress = Callable[[int, int, float, float, float], None]  # epoch, epochs, loss, new, old
 
@@ -163,20 +170,20 @@ def teach(
     """h_new as a pupil of somebody who knows l = teacher(theta, f), (B, N), (B, M) -> (B, M).
 
     Weights are copied from h_old as in `relearn`, and the last layer, which may once have been
-    solved for, is calmed first (`polish.calmed`). `polish` solves for the last layer at the end;
-    its usual residuals are those on the motions. The pupil is asked at random (theta, f), more
-    often at low tension, where elements are soft.
+    solved for, is calmed first (`polish.calmed`). `polish` adds units at the end (`widen.py`) and
+    solves for the last layer; its usual residuals are those on the motions. The pupil is asked at
+    random (theta, f), more often at low tension, where elements are soft.
 
     Raises:
         TrainingError: see `taut_samples`.
     """
     theta, f, length = taut_samples(motions, len(old.joints), len(old.muscles) + bool(added))
-    start = _grown(old, added, f, length) if added else replace(old, wires=None)
+    start = narrowed(_grown(old, added, f, length) if added else replace(old, wires=None))
     if not copy:
         start = _random(start, seed)
     rng = np.random.default_rng(seed)
     low, high = old.theta_range_rad.T
-    strong = old.tension_range_n[:, 1].mean()
+    strong = max(float(old.tension_range_n[:, 1].mean()), float(f.max()))
     asked = rng.uniform(low, high, (TAUGHT, len(low)))
     share = rng.uniform(size=(TAUGHT, len(start.muscles))) ** 2
     tension = SLACK_N + share * (strong - SLACK_N)
@@ -185,7 +192,8 @@ def teach(
     lesson = _scaled(start, asked, tension, answers)
     taught = replace(start, weights=_train(start, lesson, None, recipe, seed, progress))
     if polish:
-        taught = polished(taught, asked, tension, answers)
+        taught = widened(taught, crossed_joints(teacher, asked, tension), seed)
+        taught = polished(taught, asked, tension, answers, robust=True)
     taught = _with_residuals(taught, theta, f, length)
     return replace(taught, tension_range_n=np.tile((SLACK_N, strong), (len(start.muscles), 1)))
 
@@ -202,11 +210,12 @@ def distil(
     """The schema of the muscles in `keep` alone, distilled from h_old's mask-110 replay.
 
     The teacher sees the muscles that go at tensions they used to have; the student never does.
+    What it loses is added to the usual residuals.
 
     Raises:
         SchemaError: a muscle to keep is unknown, or none is.
     """
-    start = old
+    start = narrowed(old)
     for muscle in old.muscles:
         if muscle not in keep:
             start = shrink(start, muscle)
@@ -215,7 +224,10 @@ def distil(
     start = calmed(start, theta, f[:, kept], length[:, kept])
     data = _scaled(start, theta, f[:, kept], length[:, kept])
     weights = _train(start, data, None, recipe, seed, progress)
-    return replace(start, weights=weights)
+    student = replace(start, weights=weights)
+    lost_m = student.lengths(theta, f[:, kept]) - length[:, kept]
+    more_m = np.sqrt((lost_m**2).mean(axis=0))
+    return replace(student, length_sigma_m=np.hypot(start.length_sigma_m, more_m))
 
 
 def _grown(old: Schema, added: str, f: Array, length: Array) -> Schema:
@@ -296,11 +308,9 @@ def _range(samples: Array) -> Array:
 
 def _with_residuals(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
     """The schema with its usual residuals (root mean square) on these samples."""
-    length_error = schema.lengths(theta, f) - length
     angle_error = schema.estimate(f, length) - theta
     return replace(
-        schema,
-        length_sigma_m=np.sqrt((length_error**2).mean(axis=0)),
+        with_length_residuals(schema, theta, f, length),
         angle_sigma_rad=np.sqrt((angle_error**2).mean(axis=0)),
     )
 

@@ -1,0 +1,106 @@
+"""Units of its own for what a network is to be taught: straight on the way there, wide at its end.
+
+The inner layers are narrow: descent through them leaves a millimetre or two on a body of ten joints
+and twenty muscles, however long it takes. A network that grows may be given units. Here angles and
+tensions are handed on through the inner layers, one unit each, so small that tanh is straight. In
+the last hidden layer new units look at what arrives: at each tension, bent where elastic elements
+bend, and at the joints that one wire crosses, in random directions. What they are worth is solved
+for (`polish.py`). Until then nothing leaves them: the network says what it said.
+
+What was added stands last in each layer, and how many in the schema's meta, so that `narrowed`
+finds the network again that descent is to go on with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.body_schema.network import Array, Weights
+from services.body_schema.schema import Schema
+from services.body_schema.wires import KNEES_N
+
+Teacher = Callable[[Array, Array], Array]  # theta (B, N) [rad], f (B, M) [N] -> l (B, M) [m]
+
+ADDED = "added_units"  # in meta: how many in each inner layer and in the last hidden one
+HANDED_ON = 0.1  # of a scaled quantity: tanh is straight there to a third of a percent
+BENDS_N = (*KNEES_N, 4 * KNEES_N[-1])
+DIRECTIONS = 10  # for each joint that a wire crosses
+STEEP, ASIDE = 0.75, 1.5  # of a direction over half a joint's range: its slope, its farthest middle
+ASKED = 24
+TOUCHED_M = 1e-6
+
+
+def crossed_joints(teacher: Teacher, theta: Array, f: Array) -> NDArray[np.bool_]:
+    """Whose length depends on which joints (M, N), told from samples (T, N) [rad], (T, M) [N]."""
+    theta, other, f = theta[:ASKED], theta[ASKED : 2 * ASKED], f[:ASKED]
+    before = teacher(theta, f)
+    moved = []
+    for joint in range(theta.shape[1]):
+        elsewhere = theta.copy()
+        elsewhere[:, joint] = other[: len(theta), joint]
+        moved.append(np.abs(teacher(elsewhere, f) - before).max(axis=0))
+    return np.stack(moved, axis=1) > TOUCHED_M
+
+
+def widened(schema: Schema, crossed: NDArray[np.bool_], seed: int = 0) -> Schema:
+    """The schema with units added, from which nothing goes out yet; `crossed` is (M, N)."""
+    n, m = len(schema.joints), len(schema.muscles)
+    rows, bias = _looking(schema, crossed, np.random.default_rng(seed))
+    handed = n + m
+    (w1, b1), *inner, (w5, b5), (w6, b6) = schema.weights
+    entering = np.zeros((handed, w1.shape[1]))
+    entering[:, :handed] = HANDED_ON * np.eye(handed)
+    weights = (
+        (np.vstack((w1, entering)), np.append(b1, np.zeros(handed))),
+        *((_beside(w, np.eye(handed)), np.append(b, np.zeros(handed))) for w, b in inner),
+        (_beside(w5, rows), np.append(b5, bias)),
+        (np.hstack((w6, np.zeros((len(w6), len(rows))))), b6),
+    )
+    meta = {**schema.meta, ADDED: f"{handed} {len(rows)}"}
+    return replace(schema, weights=weights, meta=meta)
+
+
+def narrowed(schema: Schema) -> Schema:
+    """The schema without the units that `widened` added."""
+    if ADDED not in schema.meta:
+        return schema
+    handed, looking = map(int, schema.meta[ADDED].split())
+    kept = [schema.weights[0][0].shape[1], *(len(b) for _, b in schema.weights)]
+    kept = [size - less for size, less in zip(kept, (0, *[handed] * 4, looking, 0), strict=True)]
+    weights: Weights = tuple(
+        (w[:rows, :columns], b[:rows])
+        for (w, b), (columns, rows) in zip(schema.weights, pairwise(kept), strict=True)
+    )
+    meta = {name: word for name, word in schema.meta.items() if name != ADDED}
+    return replace(schema, weights=weights, meta=meta)
+
+
+def _looking(schema: Schema, crossed: NDArray[np.bool_], rng: Any) -> tuple[Array, Array]:
+    """Weights (F, N + M) and biases (F,) of units that look at what is handed on."""
+    n, m = len(schema.joints), len(schema.muscles)
+    bends = (schema.tension_scale_n[:, None] / BENDS_N).ravel()  # tanh(f / bend)
+    at_tension = np.zeros((len(bends), n + m))
+    at_tension[np.arange(len(bends)), n + np.repeat(np.arange(m), len(BENDS_N))] = bends
+    low, high = schema.theta_range_rad.T
+    half = (high - low) / 2.0
+    joints = np.repeat(crossed, DIRECTIONS * crossed.sum(axis=1), axis=0)  # (F', N)
+    count = joints.sum(axis=1, keepdims=True)
+    slope = STEEP * joints * rng.normal(size=joints.shape) / np.sqrt(count) / half  # 1 / rad
+    aside = rng.uniform(-ASIDE, ASIDE, len(joints)) - slope @ ((low + high) / 2.0)
+    at_angles = np.hstack((slope * schema.theta_scale_rad, np.zeros((len(joints), m))))
+    rows = np.vstack((at_tension, at_angles)) / HANDED_ON
+    return rows, np.concatenate((np.zeros(len(bends)), aside))
+
+
+def _beside(a: Array, b: Array) -> Array:
+    """Both in one matrix, neither touching what is the other's."""
+    whole = np.zeros((len(a) + len(b), a.shape[1] + b.shape[1]))
+    whole[: len(a), : a.shape[1]] = a
+    whole[len(a) :, a.shape[1] :] = b
+    return whole

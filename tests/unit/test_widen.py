@@ -1,0 +1,116 @@
+"""Units that a taught network is given: silent at first, worth much, and found again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from services.body_schema.network import MASKS, Array
+from services.body_schema.polish import polished
+from services.body_schema.schema import Schema
+from services.body_schema.widen import crossed_joints, narrowed, widened
+from tests.unit import analytic_body as body
+from tests.unit.schemas import untrained
+
+ALL = np.ones((3, 1), dtype=bool)
+TWO = np.array([[True, False], [True, True], [False, False]])
+
+
+def two_joints() -> Schema:
+    return untrained(("a", "b", "c"), ("x", "y"))
+
+
+def teacher(theta: Array, f: Array) -> Array:
+    """Three wires: over the first joint, over both, over none."""
+    x, y = theta.T
+    path = np.stack((0.03 * np.sin(x), 0.02 * np.cos(x + y), np.zeros(len(x))), axis=1)
+    return np.asarray(path - body.stretch(f))
+
+
+def test_which_joints_a_wire_crosses_is_found_out() -> None:
+    rng = np.random.default_rng(0)
+    theta, f = rng.uniform(-1, 1, (60, 2)), rng.uniform(5, 100, (60, 3))
+    assert crossed_joints(teacher, theta, f).tolist() == TWO.tolist()
+
+
+def test_a_widened_network_says_what_it_said() -> None:
+    schema = two_joints()
+    wide = widened(schema, TWO)
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        theta, f, length = rng.uniform(-1, 1, 2), rng.uniform(0, 100, 3), rng.uniform(-0.1, 0.1, 3)
+        for mask in MASKS:
+            for said, says in zip(
+                schema.reconstruct(theta, f, length, mask),
+                wide.reconstruct(theta, f, length, mask),
+                strict=True,
+            ):
+                np.testing.assert_allclose(says, said, rtol=1e-12, atol=1e-13)
+
+
+def test_narrowed_it_is_what_it_was_through_bytes_and_a_muscle_more() -> None:
+    from services.body_schema.growth import grow
+
+    schema = two_joints()
+    wide = Schema.from_bytes(widened(schema, TWO).to_bytes())
+    assert narrowed(wide).to_bytes() == schema.to_bytes()
+    assert narrowed(schema) is schema
+    grown = narrowed(grow(wide, "d", 100.0, 0.03))
+    assert grown.to_bytes() == grow(schema, "d", 100.0, 0.03).to_bytes()
+
+
+def test_units_look_at_the_joints_of_one_wire_only() -> None:
+    schema = two_joints()
+    w = widened(schema, TWO).weights[4][0]
+    at_angles = w[len(schema.weights[4][0]) :, -5:-3]
+    patterns = {tuple(row) for row in (at_angles != 0.0).tolist()}
+    assert patterns == {(False, False), (True, False), (True, True)}
+
+
+def test_solved_for_they_leave_a_hundredth_of_a_millimetre_or_two() -> None:
+    rng = np.random.default_rng(2)
+    theta, f = rng.uniform(0, 2.1, (1500, 1)), rng.uniform(5, 120, (1500, 3))
+    length = body.lengths(theta, f)
+    schema = replace(
+        untrained(),
+        length_reference_m=length.mean(axis=0),
+        length_scale_m=np.ptp(length, axis=0) / 2,
+    )
+
+    def off_m(schema: Schema) -> float:
+        theta, f = rng.uniform(0, 2.1, (400, 1)), rng.uniform(5, 120, (400, 3))
+        return float(np.sqrt(((schema.lengths(theta, f) - body.lengths(theta, f)) ** 2).mean()))
+
+    as_it_was = off_m(polished(schema, theta, f, length))
+    wide = polished(widened(schema, ALL), theta, f, length)
+    assert off_m(wide) < min(0.25 * as_it_was, 4e-5)
+
+
+def test_a_kink_in_one_wire_spoils_nothing_elsewhere() -> None:
+    """Squares would let a fifth of the samples decide about all."""
+    rng = np.random.default_rng(3)
+    theta, f = rng.uniform(0, 2.1, (1500, 1)), rng.uniform(5, 120, (1500, 3))
+    length = body.lengths(theta, f)
+    kinked = length.copy()
+    kinked[:, 2] += 0.05 * (np.abs(theta[:, 0] - 1.9) < 0.1) * rng.normal(size=len(theta))
+    schema = replace(
+        widened(untrained(), ALL),
+        length_reference_m=length.mean(axis=0),
+        length_scale_m=np.ptp(length, axis=0) / 2,
+    )
+    away = theta[:, 0] < 1.6
+
+    def off_m(robust: bool) -> float:
+        fitted = polished(schema, theta, f, kinked, robust=robust)
+        return float(np.sqrt(((fitted.lengths(theta, f) - length)[away] ** 2).mean()))
+
+    assert off_m(robust=True) < 0.3 * off_m(robust=False)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_same_seed_adds_the_same(seed: int) -> None:
+    one, two = (widened(two_joints(), TWO, seed).to_bytes() for _ in range(2))
+    assert one == two
+    assert one != widened(two_joints(), TWO, seed + 1).to_bytes()
