@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 
 from services.body_schema.growth import grow, permuted, shrink
 from services.body_schema.network import MASKS
-from services.body_schema.schema import SchemaError
+from services.body_schema.schema import Schema, SchemaError
 from tests.unit.schemas import untrained
 
 anything = st.floats(-1e6, 1e6)
@@ -70,6 +72,18 @@ def test_the_new_muscle_has_live_gradients() -> None:
     new = grow(untrained(), "new", 100.0, 0.03)
     for w, _ in new.weights[1:-1]:
         assert w.all()
+
+
+def test_how_residuals_correlate_goes_with_the_muscles() -> None:
+    alike = np.array([[1.0, 0.1, 0.2], [0.1, 1.0, 0.3], [0.2, 0.3, 1.0]])
+    schema = replace(untrained(("a", "b", "c")), length_correlation=alike)
+    kept = Schema.from_bytes(schema.to_bytes())
+    assert np.array_equal(kept.length_correlation, alike)
+    turned = permuted(kept, ("c", "a", "b")).length_correlation
+    assert turned is not None and turned[0].tolist() == [1.0, 0.2, 0.3]
+    fewer = shrink(kept, "b").length_correlation
+    assert fewer is not None and fewer.tolist() == [[1.0, 0.2], [0.2, 1.0]]
+    assert grow(kept, "d", 100.0, 0.03).length_correlation is None
 
 
 def test_shrinking_takes_back_growing() -> None:

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from services.body_schema import posture as refining
+from services.body_schema.motions import with_length_residuals
 from services.body_schema.network import Array
 from services.body_schema.polish import polished
 from services.body_schema.posture import Posture, posture
@@ -23,8 +25,7 @@ def schema() -> Schema:
     recipe = Recipe(steps=800, batch=48, rate=4e-3)
     rough = train_old(body.JOINTS, body.MUSCLES, theta, f, length, recipe=recipe)
     solved = polished(rough, theta, f, length)
-    off_m = solved.lengths(theta, f) - length
-    return replace(solved, length_sigma_m=np.sqrt((off_m**2).mean(axis=0)))
+    return with_length_residuals(solved, theta, f, length)
 
 
 def asked(schema: Schema, f: Array, length: Array) -> list[Posture]:
@@ -59,6 +60,33 @@ def test_a_load_cell_that_sticks_is_outvoted_and_owned_up_to(schema: Schema, mus
     assert rms(refined) < 0.5 * rms(mask)
     assert np.median(sigma) > 1.5 * np.median(sure)
     assert (np.abs(refined) < 2 * sigma).mean() > 0.9
+
+
+def test_errors_that_look_like_another_angle_are_counted_with(schema: Schema) -> None:
+    """All lengths are off as if the joint were elsewhere: no residual tells."""
+    rng = np.random.default_rng(6)
+    theta, f, _ = body.random_data(400, M, seed=6)
+    length = schema.lengths(theta + rng.normal(0, 0.02, theta.shape), f)
+    known = with_length_residuals(schema, theta, f, length)
+    _, off, sigma = scored(known, theta, f, length)
+    assert 0.5 < (np.abs(off) < sigma).mean() < 0.9
+    assert (np.abs(off) < 2 * sigma).mean() > 0.85
+    independent = scored(replace(known, length_correlation=None), theta, f, length)[2]
+    assert np.median(sigma) > 1.4 * np.median(independent)
+
+
+@pytest.mark.parametrize("muscle", range(M))
+def test_an_odd_muscles_weight_has_settled(
+    schema: Schema, muscle: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, f, length = body.random_data(60, M, seed=7)
+    f[:, muscle] = 100.0
+    found = np.array([x.angle_rad[0] for x in asked(schema, f, length)])
+    monkeypatch.setattr(refining, "SETTLED_RAD", 1e-9)
+    monkeypatch.setattr(refining, "ODD", 0.0)
+    monkeypatch.setattr(refining, "ROUNDS", 60)
+    last = np.array([x.angle_rad[0] for x in asked(schema, f, length)])
+    assert np.percentile(np.abs(found - last), 90) < 3e-3
 
 
 def test_the_rest_of_a_posture_belongs_to_its_angles(schema: Schema) -> None:
