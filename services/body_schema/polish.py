@@ -69,9 +69,11 @@ def calmed(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
 
 def _solved(h: Array, wanted: Array, before: Array, counts: Array | None = None) -> Array:
     """Rows (R, 201) that make h (T, 201) into wanted (T, R), near those before; counts (T, 1)."""
-    weighted = h if counts is None else h * counts
-    gram = weighted.T @ h / len(h) + RIDGE * np.eye(h.shape[1])
-    return np.asarray(np.linalg.solve(gram, weighted.T @ wanted / len(h) + RIDGE * before.T).T)
+    if counts is not None:
+        root = np.sqrt(counts)
+        h, wanted = h * root, wanted * root
+    gram = h.T @ h / len(h) + RIDGE * np.eye(h.shape[1])
+    return np.asarray(np.linalg.solve(gram, h.T @ wanted / len(h) + RIDGE * before.T).T)
 
 
 def _counts(off: Array) -> Array:
