@@ -22,13 +22,14 @@ from dashboard.plots import MANY
 from dashboard.sinks import RerunCanvas, segment_file
 from dashboard.stream import Stream
 from dashboard.viewer import free_port
-from runtime.messages import ChainState, JointEstimate, Message, TrainingProgress
+from runtime.messages import ChainState, JointEstimate, JointState, Message, TrainingProgress
 from runtime.process import Launch
 from runtime.settings import RobotSettings
 
-PACE_S = 0.033
+PACE_S = 0.032  # the body moves at half of it, curves grow at a sixth
 # Every sample of these is drawn, of other states the newest.
-CURVES = (ChainState, JointEstimate, TrainingProgress)
+CURVES = (ChainState, JointState, JointEstimate, TrainingProgress)
+GARBAGE = 20_000  # new objects before looking for cycles: what waits to be drawn is no garbage
 MAX_EARLY = 4096  # arrivals before robot time is known
 
 
@@ -59,6 +60,7 @@ def canvas_of(
 def _loop(launch: Launch, stream: Stream) -> None:
     gc.collect()
     gc.freeze()  # what was imported stays: no need to look through it again
+    gc.set_threshold(GARBAGE)
     with launch.open_bus() as member:
         member.subscribe(*(kind for kind in stream.inputs if kind not in CURVES), poll=True)
         member.subscribe(*CURVES, every=True, poll=True)
