@@ -137,6 +137,7 @@ def _publish(page: Page, robot: Robot) -> list[float]:
     return [(seen_ms[str(i)] - sent) / 1e3 for i, sent in enumerate(sent_ms)]
 
 
+@pytest.mark.timeout(300)
 def test_ten_listeners_cost_the_robot_nothing(robot: Robot) -> None:
     web = psutil.Process(robot.pid("web"))
     ages_ms: dict[int, list[list[float]]] = {0: [], LISTENERS: []}

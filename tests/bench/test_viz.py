@@ -141,6 +141,7 @@ class Ear:
                     self.ages_ms.append((time.time_ns() - said_ns[state.stamp_ns]) / 1e6)
 
 
+@pytest.mark.timeout(300)
 def test_no_viewer_costs_the_robot_anything(tmp_path: Path) -> None:
     """Age of chain states at another process, and the robot's longest publication."""
     settings = many_muscles(tmp_path)
