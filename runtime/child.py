@@ -80,6 +80,15 @@ class Child:
         self._process = spawn(self.spec, self._arguments, self.log_file)
         threading.Thread(target=self._wait, args=(self._process,), daemon=True).start()
 
+    def became_ready(self) -> None:
+        """Take note of its liveliness token; from now on it has its priority."""
+        self.state = "ready"
+        self._step_back()
+
+    def _step_back(self) -> None:
+        if self.spec.nice and self._process is not None:
+            step_back(self._process.pid, self.spec.nice)
+
     def died(self, exit_code: int, *, ending: bool) -> None:
         """Take note of its death; unless the group is ending, plan its restart."""
         self.last_exit = describe_exit(exit_code)
@@ -101,6 +110,7 @@ class Child:
             return False
         self.restarts += 1
         self.start()
+        self._step_back()  # the robot moves; at the first start everybody is waited for
         return True
 
     def terminate(self, patience_s: float) -> None:
@@ -125,7 +135,7 @@ class Child:
 
 
 def spawn(spec: Spec, arguments: list[str], log_file: Path) -> subprocess.Popen[bytes]:
-    """Start a process once, at its priority; what it writes is appended to `log_file`."""
+    """Start a process once; what it writes is appended to `log_file`."""
     entry = ["--entry", spec.entry] if spec.entry else []
     unhurried = _UNHURRIED if spec.nice else {}
     with log_file.open("ab") as output:
@@ -137,8 +147,6 @@ def spawn(spec: Spec, arguments: list[str], log_file: Path) -> subprocess.Popen[
             start_new_session=True,  # Ctrl-C is for the supervisor, who parks the arm first
             env={**_ENVIRONMENT, **unhurried, **os.environ},
         )
-    if spec.nice:
-        step_back(process.pid, spec.nice)
     return process
 
 

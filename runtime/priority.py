@@ -19,15 +19,16 @@ _TRIES = 50
 
 
 def step_back(pid: int, nice: int) -> None:
-    """Lower the priority of a process that leads a session and has begun no threads. Never waits.
+    """Lower the priority of a process that leads a session, and of its threads. Never waits.
 
     Args:
         pid: the process; gone is no mistake.
         nice: 1 to 19, the highest is the last to be served.
     """
-    with contextlib.suppress(ProcessLookupError):
-        os.setpriority(os.PRIO_PROCESS, pid, nice)
-        os.sched_setscheduler(pid, os.SCHED_BATCH, os.sched_param(0))
+    with contextlib.suppress(ProcessLookupError, FileNotFoundError):
+        for thread in Path(f"/proc/{pid}/task").iterdir():
+            os.setpriority(os.PRIO_PROCESS, int(thread.name), nice)
+            os.sched_setscheduler(int(thread.name), os.SCHED_BATCH, os.sched_param(0))
         threading.Thread(target=_lower_session, args=(pid, nice), daemon=True).start()
 
 

@@ -233,7 +233,7 @@ class Group:
         child = self._children.get(presence.process)
         if child is None or not presence.alive or child.state != "starting":
             return False
-        child.state = "ready"
+        child.became_ready()
         file = address_file(self.run_dir, presence.process)
         address = f": {file.read_text()}" if file.exists() else ""
         self._say(f"{self.settings.name}: {presence.process} ready{address}")

@@ -15,6 +15,7 @@ from runtime.bus import Bus
 from runtime.child import spawn
 from runtime.manifest import chosen, processes_of
 from runtime.messages import Message
+from runtime.priority import step_back
 from runtime.settings import RobotSettings
 from tests.many_muscles import STEP_NS, say
 
@@ -36,6 +37,7 @@ class Viz:
         while "viz" not in bus.alive(0.2):
             assert self.process.poll() is None, "viz ended at once: see its log"
             assert time.monotonic() < deadline, "viz does not become ready"
+        step_back(self.process.pid, spec.nice)
 
     @property
     def url(self) -> str:
