@@ -27,7 +27,7 @@ _ENVIRONMENT = {
 _UNHURRIED = {
     # Zenoh reads the network with two threads that wake each other: one does.
     "ZENOH_RUNTIME": "(rx: (worker_threads: 1))",
-    # Rerun's allocator gives memory back at once: else an hour passes before the picture's is flat.
+    # Rerun's allocator gives memory back at once: else the picture's creeps up for half an hour.
     "MIMALLOC_PURGE_DELAY": "0",
 }
 

@@ -25,11 +25,17 @@ def step_back(pid: int, nice: int) -> None:
         pid: the process; gone is no mistake.
         nice: 1 to 19, the highest is the last to be served.
     """
-    with contextlib.suppress(ProcessLookupError, FileNotFoundError):
-        for thread in Path(f"/proc/{pid}/task").iterdir():
-            os.setpriority(os.PRIO_PROCESS, int(thread.name), nice)
-            os.sched_setscheduler(int(thread.name), os.SCHED_BATCH, os.sched_param(0))
-        threading.Thread(target=_lower_session, args=(pid, nice), daemon=True).start()
+    for thread in _threads(pid):
+        with contextlib.suppress(ProcessLookupError):
+            os.setpriority(os.PRIO_PROCESS, thread, nice)
+            os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
+    threading.Thread(target=_lower_session, args=(pid, nice), daemon=True).start()
+
+
+def _threads(pid: int) -> list[int]:
+    with contextlib.suppress(FileNotFoundError):
+        return [int(name) for name in os.listdir(f"/proc/{pid}/task")]
+    return []
 
 
 def _lower_session(pid: int, nice: int) -> None:
