@@ -48,7 +48,7 @@ class Plots:
             self._track("/role", FAST_NS, alike, colors, widths)
         for path in ("/load/cpu", "/load/memory"):
             self._tracks[path] = Track(path, self._processes, SLOW_NS)
-        self._line("/limit/tension", f"limit {self._limit_n:g} N", LIMIT, FAST_NS * 10)
+        self._line("/limit/tension", f"limit {self._limit_n:g} N", LIMIT)
         self._line("/limit/temperature", f"limit {self._limit_degc:g} °C", LIMIT)
         self._line("/limit/anomaly", f"odd above {ODD_ANOMALY:g}", LIMIT)
         self._line("/limit/zero", "zero", REFERENCE, width=0.5)

@@ -19,8 +19,8 @@ from runtime.settings import RobotSettings
 
 Reader = Callable[[m.Message, int], None]
 
-DRAW_NS = 160_000_000
-FRAME_NS = 64_000_000
+DRAW_NS = 170_000_000
+FRAME_NS = 62_000_000
 
 
 class Stream:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import gc
 import time
 from collections import deque
+from operator import attrgetter
 from pathlib import Path
 
 from dashboard.blueprint import layout
@@ -26,9 +27,10 @@ from runtime.messages import ChainState, JointEstimate, Message, TrainingProgres
 from runtime.process import Launch
 from runtime.settings import RobotSettings
 
-PACE_S = 0.033
-# Every sample of these is drawn, of other states the newest.
+PACE_S = 0.064  # the body and its joints move at this pace, curves grow at a third of it
+# Every sample of these is drawn, of other states the newest at each look.
 CURVES = (ChainState, JointEstimate, TrainingProgress)
+GARBAGE = 20_000  # new objects before looking for cycles: what waits to be drawn is no garbage
 MAX_EARLY = 4096  # arrivals before robot time is known
 
 
@@ -59,6 +61,7 @@ def canvas_of(
 def _loop(launch: Launch, stream: Stream) -> None:
     gc.collect()
     gc.freeze()  # what was imported stays: no need to look through it again
+    gc.set_threshold(GARBAGE)
     with launch.open_bus() as member:
         member.subscribe(*(kind for kind in stream.inputs if kind not in CURVES), poll=True)
         member.subscribe(*CURVES, every=True, poll=True)
@@ -70,7 +73,7 @@ def _loop(launch: Launch, stream: Stream) -> None:
             due_s = max(due_s + PACE_S, wall_s)
             time.sleep(due_s - wall_s)
             news = [item for item in member.wait(0.0) if isinstance(item, Message)]
-            arrived.extend(sorted(news, key=lambda item: item.stamp_ns))  # as they were said
+            arrived.extend(sorted(news, key=attrgetter("stamp_ns")))  # as they were said
             now_ns = member.now_ns()
             if now_ns is None:
                 continue  # the world has not told the time yet

@@ -21,7 +21,7 @@ import logging
 import queue
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, NamedTuple, Self
@@ -113,7 +113,7 @@ class Bus:
             self._config.insert_json5("downsampling", json.dumps(_thinning(robot, most_hz, chains)))
         self._where = endpoint or listen
         self._box: Mailbox[_Arrival | Presence] = Mailbox()
-        self._polled: list[tuple[Any, Callable[[zenoh.Sample], None]]] = []
+        self._polled: list[_Polled] = []
         self._declared: list[Any] = []  # kept alive: tokens die with their Python objects
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._courier = _Courier()
@@ -136,7 +136,7 @@ class Bus:
     ) -> None:
         # Every callback must be undeclared, or the interpreter hangs at its exit.
         self._courier.stop()
-        for declared in (*(ring for ring, _ in self._polled), *reversed(self._declared)):
+        for declared in (*(polled.ring for polled in self._polled), *reversed(self._declared)):
             declared.undeclare()
         self._session.close()  # type: ignore[no-untyped-call]
 
@@ -168,11 +168,16 @@ class Bus:
     def request(self, message: Message, timeout_s: float | None = None) -> list[Reply]:
         """Ask, and wait for all who answer. Empty: nobody serves this, or nobody answered in time.
 
-        Who answered stands in each reply's `data["process"]`.
+        Who answered stands in each reply's `data["process"]`. A refusal without it is the bus's
+        own: a name in the message cannot be a part of a key.
         """
         row = REQUEST_BY_TYPE[type(message)]
+        key = key_of(self.robot, message)
+        if not _is_key(key):
+            kind = type(message).__name__
+            return [Reply(ok=False, text=f"{kind} reaches nobody: {key!r} is no key")]
         answers = self._session.get(
-            key_of(self.robot, message),
+            key,
             payload=encode(message),
             encoding=encoding_of(type(message)),
             target=zenoh.QueryTarget.ALL,
@@ -259,10 +264,8 @@ class Bus:
     def wait(self, timeout_s: float) -> list[Message | Question]:
         """What arrived, oldest first, after at most this time. Reads, and drops what is odd."""
         read: list[Message | Question] = []
-        for subscriber, arrived in self._polled:
-            while (sample := subscriber.try_recv()) is not None:
-                arrived(sample)
-        for arrival in self._box.wait(timeout_s):
+        posted = self._box.wait(timeout_s)
+        for arrival in (*posted, *(x for polled in self._polled for x in polled.take())):
             item = arrival if isinstance(arrival, Presence) else self._open(arrival)
             if item is not None:
                 read.append(item)
@@ -311,8 +314,9 @@ class Bus:
                 )
             )
         elif poll:
-            ring: Any = zenoh.handlers.RingChannel(QUEUE_DEPTH)
-            self._polled.append((self._session.declare_subscriber(pattern, ring), arrived))
+            channel: Any = zenoh.handlers.RingChannel(QUEUE_DEPTH)
+            ring = self._session.declare_subscriber(pattern, channel)
+            self._polled.append(_Polled(ring, kind, newest_only))
         else:
             self._declared.append(self._session.declare_subscriber(pattern, arrived))
 
@@ -362,6 +366,25 @@ class Bus:
             self._odd.add(text)
             self._odd_news.append(text)
             log.warning("dropped: %s", text)
+
+
+class _Polled(NamedTuple):
+    """A subscription that nobody is woken by."""
+
+    ring: Any  # zenoh.Subscriber
+    kind: type[Message]
+    newest_only: bool
+
+    def take(self) -> Iterator[_Arrival]:
+        """What came since the last time; of LATEST topics the newest of each key, unread."""
+        samples: list[zenoh.Sample] = []
+        while (sample := self.ring.try_recv()) is not None:
+            samples.append(sample)
+        if self.newest_only:
+            samples = list({str(sample.key_expr): sample for sample in samples}.values())
+        for sample in samples:
+            if sample.kind == zenoh.SampleKind.PUT:
+                yield _Arrival(self.kind, sample)
 
 
 class _Courier:
@@ -431,6 +454,14 @@ def _thinning(robot: str, most_hz: float, chains: tuple[str, ...]) -> list[dict[
 def _read(kind: type[Any], sample: Any) -> Any:
     payload = b"" if sample.payload is None else bytes(sample.payload)
     return decode(kind, payload, str(sample.encoding))
+
+
+def _is_key(key: str) -> bool:
+    """Whether this is one key: no empty parts, and nothing that stands for several."""
+    try:
+        return "*" not in str(zenoh.KeyExpr(key))
+    except zenoh.ZError:
+        return False
 
 
 def _last(key: str) -> str:

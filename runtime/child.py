@@ -15,6 +15,7 @@ from pathlib import Path
 from runtime.backoff import Backoff, BackoffPolicy, Restart
 from runtime.manifest import Spec
 from runtime.messages import ProcessRow
+from runtime.priority import step_back
 
 # One thread each: on few cores, spinning BLAS threads take the time that control needs.
 _ENVIRONMENT = {
@@ -22,6 +23,12 @@ _ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONFAULTHANDLER": "1",
     "PYTHONUNBUFFERED": "1",
+}
+_UNHURRIED = {
+    # Zenoh reads the network with two threads that wake each other: one does.
+    "ZENOH_RUNTIME": "(rx: (worker_threads: 1))",
+    # Rerun's allocator gives memory back at once: else the picture's creeps up for half an hour.
+    "MIMALLOC_PURGE_DELAY": "0",
 }
 
 
@@ -70,20 +77,17 @@ class Child:
         """Start it now."""
         self.restart_at_s = None
         self.state = "starting"
-        entry = ["--entry", self.spec.entry] if self.spec.entry else []
-        command = [sys.executable, "-m", "runtime.process", self.spec.process, *entry]
-        with self.log_file.open("ab") as output:
-            self._process = subprocess.Popen(
-                [*command, *self._arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,  # Ctrl-C is for the supervisor, who parks the arm first
-                env={**_ENVIRONMENT, **os.environ},
-            )
-        if self.spec.nice:
-            os.setpriority(os.PRIO_PROCESS, self._process.pid, self.spec.nice)
+        self._process = spawn(self.spec, self._arguments, self.log_file)
         threading.Thread(target=self._wait, args=(self._process,), daemon=True).start()
+
+    def became_ready(self) -> None:
+        """Take note of its liveliness token; from now on it has its priority."""
+        self.state = "ready"
+        self._step_back()
+
+    def _step_back(self) -> None:
+        if self.spec.nice and self._process is not None:
+            step_back(self._process.pid, self.spec.nice)
 
     def died(self, exit_code: int, *, ending: bool) -> None:
         """Take note of its death; unless the group is ending, plan its restart."""
@@ -106,6 +110,7 @@ class Child:
             return False
         self.restarts += 1
         self.start()
+        self._step_back()  # the robot moves; at the first start everybody is waited for
         return True
 
     def terminate(self, patience_s: float) -> None:
@@ -127,6 +132,22 @@ class Child:
 
     def _wait(self, process: subprocess.Popen[bytes]) -> None:
         self._on_exit(self, process.wait())
+
+
+def spawn(spec: Spec, arguments: list[str], log_file: Path) -> subprocess.Popen[bytes]:
+    """Start a process once; what it writes is appended to `log_file`."""
+    entry = ["--entry", spec.entry] if spec.entry else []
+    unhurried = _UNHURRIED if spec.nice else {}
+    with log_file.open("ab") as output:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "runtime.process", spec.process, *entry, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,  # Ctrl-C is for the supervisor, who parks the arm first
+            env={**_ENVIRONMENT, **unhurried, **os.environ},
+        )
+    return process
 
 
 def describe_exit(code: int) -> str:

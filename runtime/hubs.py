@@ -46,16 +46,24 @@ def robot_home(robot: str) -> Path:
     return state_home() / robot
 
 
+def next_run_dir(robot: str) -> Path:
+    """Where a run that begins now would keep what it writes: `runs/<UTC>`. It is not made yet."""
+    return robot_home(robot) / "runs" / datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
+
+
+def make_run_dir(folder: Path) -> None:
+    """Make a run's folder, to which `runs/latest` then points."""
+    folder.mkdir(parents=True)
+    fresh = folder.parent / f".latest.{os.getpid()}"
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(folder.name)
+    fresh.replace(folder.parent / "latest")
+
+
 def new_run_dir(robot: str) -> Path:
     """A new folder `runs/<UTC>`, to which `runs/latest` then points."""
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
-    runs = robot_home(robot) / "runs"
-    folder = runs / stamp
-    folder.mkdir(parents=True)
-    fresh = runs / f".latest.{os.getpid()}"
-    fresh.unlink(missing_ok=True)
-    fresh.symlink_to(stamp)
-    fresh.replace(runs / "latest")
+    folder = next_run_dir(robot)
+    make_run_dir(folder)
     return folder
 
 

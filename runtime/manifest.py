@@ -8,6 +8,10 @@ from dataclasses import dataclass
 from runtime.backoff import Restart
 from runtime.settings import RobotSettings
 
+# Nice levels: who only looks on, and who learns, never takes the processor from control.
+LOOKS = 5
+LEARNS = 10
+
 
 @dataclass(frozen=True, slots=True)
 class Spec:
@@ -15,7 +19,7 @@ class Spec:
 
     process: str  # also the entry point's name, up to a `-`
     restart: Restart = Restart.ALWAYS
-    nice: int = 0
+    nice: int = 0  # see priority.py
     entry: str = ""  # `module:function`, where it is not the entry point of that name
 
 
@@ -31,12 +35,12 @@ def processes_of(settings: RobotSettings) -> tuple[Spec, ...]:
     return (
         *world,
         *drivers,
-        Spec("recorder", Restart.ON_FAILURE),  # early, so that it is stopped late
+        Spec("recorder", Restart.ON_FAILURE, nice=LOOKS),  # early, so that it is stopped late
         Spec("estimator"),
         Spec("executive"),
-        Spec("retrainer", nice=10),  # learning never takes the processor from control
-        *((Spec("web", Restart.ON_FAILURE, nice=5),) if can_serve_page() else ()),
-        *((Spec("viz", Restart.ON_FAILURE, nice=5),) if can_view() else ()),
+        Spec("retrainer", nice=LEARNS),
+        *((Spec("web", Restart.ON_FAILURE, nice=LOOKS),) if can_serve_page() else ()),
+        *((Spec("viz", Restart.ON_FAILURE, nice=LOOKS),) if can_view() else ()),
     )
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from runtime.body_checks import body_mistakes
 from runtime.messages import METHODS
 from runtime.settings import Joint, Muscle, RobotSettings, Spare, TaskPath
-from runtime.settings_file import Mistake, shown, suggestion
+from runtime.settings_file import Mistake, suggestion
 from runtime.toml_lines import KeyPath
 from runtime.wire.registers import BAUD_RATES, BY_NAME
 
@@ -273,7 +273,7 @@ def _tasks(settings: RobotSettings) -> Iterator[Mistake]:
 
 
 def _web(settings: RobotSettings) -> Iterator[Mistake]:
-    """An address to listen on, and files that are there."""
+    """An address to listen on. Whether its files are there, the process that reads them says."""
     web = settings.web
     try:
         ipaddress.ip_address(web.address)
@@ -283,15 +283,6 @@ def _web(settings: RobotSettings) -> Iterator[Mistake]:
     if bool(web.certificate) != bool(web.key):
         given = "certificate" if web.certificate else "key"
         yield Mistake(("web", given), "[web]: certificate and key go together: PEM files both")
-    for name in ("certificate", "key"):
-        path = getattr(web, name)
-        if path and not settings.beside(path).is_file():
-            file = shown(settings.beside(path))
-            yield Mistake(("web", name), f"[web]: {name} file {file} does not exist")
-    for index, folder in enumerate(web.results):
-        if not settings.beside(folder).is_dir():
-            file = shown(settings.beside(folder))
-            yield Mistake(("web", "results", index), f"[web]: results folder {file} does not exist")
 
 
 def _carrying(settings: RobotSettings, index: int, task: TaskPath) -> Iterator[Mistake]:

@@ -23,7 +23,8 @@ from runtime.hubs import (
     address_file,
     free_endpoint,
     living_hubs,
-    new_run_dir,
+    make_run_dir,
+    next_run_dir,
     robot_home,
 )
 from runtime.manifest import Spec, chosen, processes_of, simulated
@@ -56,7 +57,7 @@ class Group:
         seed: of everything random.
         only: start these of the robot's processes only.
         connect: more endpoints to connect to: a router, when the robot is split over hosts.
-        run_dir: of this run; by default a new one under the robot's state folder.
+        run_dir: of this run; by default a new one under the robot's state folder, made on start.
         state_dir: what outlives the run; by default the robot's own. A new folder is a new robot.
         processes: other processes than the robot's own: for tests.
         policy: of restarts.
@@ -82,7 +83,8 @@ class Group:
     ) -> None:
         self.settings = settings
         self.endpoint = ""
-        self.run_dir = run_dir or new_run_dir(settings.name)
+        self.run_dir = run_dir or next_run_dir(settings.name)
+        self._chosen_dir = run_dir is not None
         self._state_dir = state_dir or robot_home(settings.name) / "state"
         self._connect = connect
         self._arguments = ["--speed", str(speed), "--seed", str(seed)]
@@ -120,6 +122,8 @@ class Group:
             started=datetime.now(UTC).isoformat(timespec="seconds"),
         )
         self._claim = Claim(hub)
+        if not self._chosen_dir:
+            make_run_dir(self.run_dir)  # not before: who is refused leaves nothing behind
         logs = self.run_dir / "logs"
         logs.mkdir(parents=True, exist_ok=True)
         self._bus = Bus(self.settings.name, "supervisor", listen=self.endpoint, also=also)
@@ -229,7 +233,7 @@ class Group:
         child = self._children.get(presence.process)
         if child is None or not presence.alive or child.state != "starting":
             return False
-        child.state = "ready"
+        child.became_ready()
         file = address_file(self.run_dir, presence.process)
         address = f": {file.read_text()}" if file.exists() else ""
         self._say(f"{self.settings.name}: {presence.process} ready{address}")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,7 +12,10 @@ from typing import Self
 
 from dashboard.viewer import free_port
 from runtime.bus import Bus
+from runtime.child import spawn
+from runtime.manifest import chosen, processes_of
 from runtime.messages import Message
+from runtime.priority import step_back
 from runtime.settings import RobotSettings
 from tests.many_muscles import STEP_NS, say
 
@@ -28,16 +29,15 @@ class Viz:
     def __init__(self, settings: RobotSettings, bus: Bus, endpoint: str, folder: Path) -> None:
         self.run_dir = folder / "run-1"
         self.run_dir.mkdir(exist_ok=True)
-        command = [sys.executable, "-m", "runtime.process", "viz", "--robot", settings.file]
         where = ["--run-dir", str(self.run_dir), "--state-dir", str(folder)]
-        with (folder / "viz.log").open("ab") as log:
-            self.process = subprocess.Popen(
-                [*command, *where, "--endpoint", endpoint], stdout=log, stderr=log
-            )
+        arguments = ["--robot", settings.file, *where, "--endpoint", endpoint]
+        (spec,) = chosen(processes_of(settings), ("viz",))
+        self.process = spawn(spec, arguments, folder / "viz.log")
         deadline = time.monotonic() + 30.0
         while "viz" not in bus.alive(0.2):
             assert self.process.poll() is None, "viz ended at once: see its log"
             assert time.monotonic() < deadline, "viz does not become ready"
+        step_back(self.process.pid, spec.nice)
 
     @property
     def url(self) -> str:

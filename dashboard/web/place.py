@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 from dashboard.web.guard import Rules
 from runtime.hubs import address_file
 from runtime.settings import RobotSettings
+from runtime.settings_file import shown
 
 TOKEN_VARIABLE = "MYOGRAFT_WEB_TOKEN"
 PORTS = 100  # that are tried
@@ -47,7 +48,7 @@ def take_place(settings: RobotSettings, run_dir: Path, state_dir: Path) -> Place
         PlaceError: the address is not this host's, no port is free, or the certificate is none.
     """
     web = settings.web
-    certificate, key = (str(settings.beside(x)) if x else "" for x in (web.certificate, web.key))
+    certificate, key = (settings.beside(x) if x else None for x in (web.certificate, web.key))
     _check(certificate, key)
     address = ipaddress.ip_address(web.address)
     note = address_file(run_dir, "web")
@@ -66,8 +67,8 @@ def take_place(settings: RobotSettings, run_dir: Path, state_dir: Path) -> Place
         socket=listening,
         url=url,
         rules=Rules(settings.name, token, web.names, anywhere=not address.is_loopback),
-        certificate=certificate,
-        key=key,
+        certificate=str(certificate or ""),
+        key=str(key or ""),
         told=told,
     )
 
@@ -79,9 +80,12 @@ def told_address(run_dir: str) -> str:
     return ""
 
 
-def _check(certificate: str, key: str) -> None:
-    if not certificate:
+def _check(certificate: Path | None, key: Path | None) -> None:
+    if certificate is None or key is None:
         return
+    for what, file in (("certificate", certificate), ("key", key)):
+        if not file.is_file():
+            raise PlaceError(f"[web]: {what} file {shown(file)} does not exist")
     try:
         ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(certificate, key)
     except (ssl.SSLError, OSError) as error:

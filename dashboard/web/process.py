@@ -20,12 +20,13 @@ from dashboard.web.app import make_app
 from dashboard.web.feed import Feed
 from dashboard.web.picture import Picture
 from dashboard.web.place import Place, PlaceError, take_place, told_address
-from dashboard.web.results import folders_of
+from dashboard.web.results import folders_of, missing_folders
 from runtime.bus import Question
 from runtime.hubs import Hub, living_hubs
 from runtime.member import Member
 from runtime.messages import Event, SchemaRequest, VersionRow
 from runtime.process import Launch
+from runtime.settings_file import shown
 
 RATE_HZ = 10.0
 HUBS_S = 2.0  # between two looks for other robots
@@ -36,12 +37,15 @@ log = logging.getLogger(__name__)
 
 def main(launch: Launch) -> None:
     """Serve until told to stop."""
-    try:
-        place = take_place(launch.settings, launch.run_dir, launch.state_dir / launch.process)
-    except PlaceError as error:
-        log.error("%s", error)
-        raise SystemExit(1) from error
     with launch.open_bus(most_hz=RATE_HZ) as member:
+        try:
+            place = take_place(launch.settings, launch.run_dir, launch.state_dir / launch.process)
+        except PlaceError as error:
+            member.report("page_failed", f"no page: {error}")
+            raise SystemExit(1) from error
+        for folder in missing_folders(launch.settings):
+            text = f"[web]: results folder {shown(folder)} does not exist"
+            member.report("page_lacks", text, level="warning")
         asyncio.run(_serve(launch, member, place))
 
 

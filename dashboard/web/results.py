@@ -9,7 +9,7 @@ named in `[web] results`.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,12 @@ def folders_of(settings: RobotSettings) -> tuple[Path, ...]:
     return (*named, state_home() / "experiments", _DOCUMENTS)
 
 
+def missing_folders(settings: RobotSettings) -> list[Path]:
+    """Those that the robot file names and that are not there."""
+    named = (settings.beside(folder) for folder in settings.web.results)
+    return [folder for folder in named if not folder.is_dir()]
+
+
 def find(folders: tuple[Path, ...]) -> dict[str, Findings]:
     """All results by name; of two of one name the first counts."""
     found: dict[str, Findings] = {}
@@ -72,20 +78,27 @@ def _in_folder(folder: Path) -> Iterator[Findings]:
         tables = inner / "tables.md"
         if tables.is_file():
             yield Findings(inner.name, inner.name, tables, _pictures(inner, ""))
-    for file in sorted(folder.glob("*.json")):
+    documents = {file.stem: file for file in sorted(folder.glob("*.json"))}
+    for stem, file in documents.items():
+        others = [other for other in documents if other != stem]
         beside = {
-            **_pictures(folder.parent / "pictures", file.stem),
-            **_pictures(folder, file.stem),
+            **_pictures(folder.parent / "pictures", stem, others),
+            **_pictures(folder, stem, others),
         }
-        yield Findings(file.stem, file.stem, file, beside)
+        yield Findings(stem, stem, file, beside)
 
 
-def _pictures(folder: Path, stem: str) -> dict[str, Path]:
-    """Those that begin with a name; of one in several formats the first."""
+def _pictures(folder: Path, stem: str, others: Iterable[str] = ()) -> dict[str, Path]:
+    """Those that begin with a name, and not with a longer one of the others.
+
+    Of one in several formats the first.
+    """
+    longer = tuple(other for other in others if other.startswith(stem))
     chosen: dict[str, Path] = {}
     for suffix in PICTURES:
         for file in sorted(folder.glob(f"{stem}*{suffix}")):
-            chosen.setdefault(file.stem, file)
+            if not file.stem.startswith(longer):
+                chosen.setdefault(file.stem, file)
     return {file.name: file for file in chosen.values()}
 
 

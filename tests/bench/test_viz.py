@@ -23,7 +23,7 @@ from dashboard.viewer import free_port, viewer_binary
 from dashboard.viz import canvas_of
 from runtime.bus import Bus
 from runtime.messages import ChainState
-from tests.bench.timing import GENEROUS, tell
+from tests.bench.timing import tell, tell_p99
 from tests.many_muscles import STEP_NS, many_muscles, say
 from tests.viz_process import START_NS, Robot, Viz, hub, wait_until
 
@@ -32,7 +32,8 @@ pytest.importorskip("rerun", reason="needs the extra myograft[view]")
 WARM_S, MEASURE_S = 4.0, 15.0
 CPU_PERCENT, LAG_P99_MS = 10.0, 300.0
 GROWTH_MB_MIN = 1.0  # of memory, once the server's share of it is full
-FULL_MIN = 6.0  # by when it is
+FULL_MIN = 8.0  # by when it is
+ROUNDS, ROUND_S = 5, 3.0  # of each: short ones in turn, as the machine's noise comes in minutes
 
 
 def cpu_s(process: psutil.Process) -> float:
@@ -140,39 +141,36 @@ class Ear:
                     self.ages_ms.append((time.time_ns() - said_ns[state.stamp_ns]) / 1e6)
 
 
+@pytest.mark.timeout(300)
 def test_no_viewer_costs_the_robot_anything(tmp_path: Path) -> None:
     """Age of chain states at another process, and the robot's longest publication."""
     settings = many_muscles(tmp_path)
-    p99_ms: dict[str, float] = {}
+    ages_ms: dict[str, list[list[float]]] = {}
 
     def measure(what: str, robot: Robot, endpoint: str) -> None:
         ear = Ear(settings.name, endpoint)
         robot.longest_s = 0.0
-        ear.listen(robot.said_ns, 8.0)
-        p99_ms[what] = float(np.percentile(ear.ages_ms, 99))
-        p50_ms = float(np.percentile(ear.ages_ms, 50))
-        print(
-            f"{what:<36} chain state's age p50 {p50_ms:5.2f} ms, p99 {p99_ms[what]:6.2f} ms, "
-            f"longest publication {1e3 * robot.longest_s:6.2f} ms"
-        )
+        ear.listen(robot.said_ns, ROUND_S)
+        ages_ms.setdefault(what, []).append(ear.ages_ms)
         assert robot.longest_s < 0.5, "the robot waited"
 
-    print()
     with hub(settings.name) as (bus, endpoint), Robot(settings, bus) as robot:
-        measure("no picture", robot, endpoint)
-        with Viz(settings, bus, endpoint, tmp_path) as viz:
-            measure("nobody looks", robot, endpoint)
-            with viewer_of(viz.url) as viewer:
-                viewer.suspend()
-                measure("the viewer stands still", robot, endpoint)
-                viewer.kill()
-                measure("the viewer was killed", robot, endpoint)
-            os.kill(viz.process.pid, signal.SIGSTOP)
-            measure("viz stands still", robot, endpoint)
-            os.kill(viz.process.pid, signal.SIGKILL)
-            measure("viz was killed", robot, endpoint)
-    usual_ms = max(p99_ms["no picture"], p99_ms["nobody looks"])
-    assert max(p99_ms.values()) < GENEROUS * max(usual_ms, 2.0)
+        for _ in range(ROUNDS):
+            measure("no picture", robot, endpoint)
+            with Viz(settings, bus, endpoint, tmp_path) as viz:
+                measure("nobody looks", robot, endpoint)
+                with viewer_of(viz.url) as viewer:
+                    viewer.suspend()
+                    measure("the viewer stands still", robot, endpoint)
+                    viewer.kill()
+                    measure("the viewer was killed", robot, endpoint)
+                os.kill(viz.process.pid, signal.SIGSTOP)
+                measure("viz stands still", robot, endpoint)
+                os.kill(viz.process.pid, signal.SIGKILL)
+                measure("viz was killed", robot, endpoint)
+    print("\nchain state's age")
+    for what, rounds in ages_ms.items():
+        tell_p99(what, ages_ms["no picture"], rounds)
 
 
 def test_no_call_waits_for_a_viewer_that_stands_still(tmp_path: Path) -> None:

@@ -167,8 +167,11 @@ def test_two_robots_share_a_network_and_hear_only_themselves() -> None:
         (reply,) = right.request(Reach(angle_rad={"elbow": 1.0}))
         assert reply.data["heard"] == "0"
         assert left.request(Reach(angle_rad={"elbow": 1.0}), timeout_s=1) == []
+        refused = Group(settings("left"), processes=(ECHO,))
         with pytest.raises(HubError, match="--name"):
-            Group(settings("left"), processes=(ECHO,)).start()
+            refused.start()
+        assert not refused.run_dir.exists()
+        assert (left.run_dir.parent / "latest").resolve() == left.run_dir.resolve()
     assert living_hubs() == []
 
 
@@ -238,6 +241,13 @@ def test_a_chains_request_reaches_that_chains_driver_alone() -> None:
                     replies = asker.request(Identify(chain=chain, module="m"))
                 assert [reply.text for reply in replies] == [f"driver-{chain}"]
             assert asker.request(Identify(chain="none", module="m"), timeout_s=1) == []
+            for name in ("", "left?", "*"):
+                (refusal,) = asker.request(Identify(chain=name, module="m"))
+                assert not refusal.ok
+                assert (
+                    refusal.text
+                    == f"Identify reaches nobody: 'two/chain/{name}/identify' is no key"
+                )
         finally:
             over.set()
             for thread in threads:

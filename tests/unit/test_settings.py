@@ -158,13 +158,6 @@ MISTAKES = [
     ("[growth]", "[web]\nport = 70000\n[growth]", 48, "at most 65535, found 70000"),
     ("[growth]", "[web]\naddress = 'arm.lab'\n[growth]", 48, "'arm.lab' is no IP address; use"),
     ("[growth]", "[web]\nkey = 'elbow.xml'\n[growth]", 48, "certificate and key go together"),
-    (
-        "[growth]",
-        "[web]\nkey = 'elbow.xml'\ncertificate = 'none.pem'\n[growth]",
-        49,
-        "[web]: certificate file none.pem does not exist",
-    ),
-    ("[growth]", "[web]\nresults = ['runs']\n[growth]", 48, "results folder runs does not exist"),
     # the body
     ("elbow.xml", "elbov.xml", 4, "elbov.xml does not exist; did you mean"),
     ("elbow.xml", "broken.xml", 4, "broken.xml is not XML: "),

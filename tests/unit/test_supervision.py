@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
 import threading
 import time
 from pathlib import Path
@@ -17,6 +19,7 @@ from runtime.mailbox import Mailbox
 from runtime.manifest import processes_of
 from runtime.messages import ExecutiveState
 from runtime.parking import Parking
+from runtime.priority import step_back
 from runtime.settings import load_robot
 from runtime.store import FileStore
 
@@ -24,6 +27,26 @@ from runtime.store import FileStore
 def test_the_wait_doubles_up_to_the_longest() -> None:
     backoff = Backoff(Restart.ALWAYS, BackoffPolicy(first_s=0.05, longest_s=0.3))
     assert [backoff.died(1, wall_s=0.0) for _ in range(5)] == [0.05, 0.1, 0.2, 0.3, 0.3]
+
+
+def test_who_only_looks_or_learns_steps_back() -> None:
+    """So does its session, where Linux groups by session: a nice level counts within one only."""
+    specs = {spec.process: spec.nice for spec in processes_of(load_robot("elbow"))}
+    back = {name for name, nice in specs.items() if nice}
+    assert back == {"recorder", "retrainer", "web", "viz"} & specs.keys()
+    with subprocess.Popen(["sleep", "60"], start_new_session=True) as child:
+        try:
+            step_back(child.pid, 7)
+            assert os.getpriority(os.PRIO_PROCESS, child.pid) == 7
+            assert os.sched_getscheduler(child.pid) == os.SCHED_BATCH
+            session = Path(f"/proc/{child.pid}/autogroup")
+            deadline = time.monotonic() + 5.0
+            while session.exists() and "nice 7" not in session.read_text():
+                assert time.monotonic() < deadline
+                time.sleep(0.01)
+        finally:
+            child.kill()
+    step_back(child.pid, 7)  # gone is no mistake
 
 
 def test_the_budget_ends_and_the_window_moves_on() -> None:

@@ -87,6 +87,13 @@ def test_a_certificate_that_is_none_is_refused_in_words(tmp_path: Path) -> None:
         take_place(elbow(port=FIRST, **files), tmp_path, tmp_path / "state")
 
 
+def test_a_certificate_that_is_missing_is_told_by_the_one_who_reads_it(tmp_path: Path) -> None:
+    (tmp_path / "page.pem").write_text("")
+    files = {"certificate": str(tmp_path / "page.pem"), "key": str(tmp_path / "none.pem")}
+    with pytest.raises(PlaceError, match=r"^\[web\]: key file .*none\.pem does not exist$"):
+        take_place(elbow(port=FIRST, **files), tmp_path, tmp_path / "state")
+
+
 def test_an_address_of_another_host_is_refused_in_words(tmp_path: Path) -> None:
     with pytest.raises(PlaceError, match=r"cannot be served at 203\.0\.113\.7.*see \[web\]"):
         place(tmp_path, address="203.0.113.7")

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from dashboard.web.results import find, folders_of, read
+from dashboard.web.results import find, folders_of, missing_folders, read
 from experiments.tables import Measure, markdown_table
 from tests.unit.page_server import elbow, served
 
@@ -53,15 +53,18 @@ def folder(tmp_path: Path) -> Path:
     document = {"means": rows, "orderings": [order, {**order, "claim": ""}]}
     (tmp_path / "elbow.json").write_text(json.dumps(document))
     (tmp_path / "elbow-paper.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'/>")
+    (tmp_path / "elbow-b.json").write_text(json.dumps(document))
+    (tmp_path / "elbow-b-paper.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'/>")
     (tmp_path / "broken.json").write_text('{"means": [{}]}')
     return tmp_path
 
 
 def test_both_kinds_are_found(folder: Path) -> None:
     found = find((folder, folder / "nowhere"))
-    assert list(found) == ["arm-quick", "broken", "elbow"]
+    assert list(found) == ["arm-quick", "broken", "elbow-b", "elbow"]
     assert list(found["arm-quick"].pictures) == ["arm-norm.png"]
     assert list(found["elbow"].pictures) == ["elbow-paper.svg"]
+    assert list(found["elbow-b"].pictures) == ["elbow-b-paper.svg"]
 
 
 def test_tables_of_a_sweep(folder: Path) -> None:
@@ -100,12 +103,14 @@ def test_folders_of_the_robot_file_come_first(folder: Path) -> None:
         elbow(results=(folder.name,)), file=str(folder / "../x.toml")
     )
     assert folders_of(settings)[0] == folder.resolve()
+    assert missing_folders(settings) == []
+    assert missing_folders(elbow(results=("runs",))) == [elbow().beside("runs")]
 
 
 def test_over_the_page(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     with served(tmp_path_factory.mktemp("run"), folders=(folder,)) as page:
         names = [row["name"] for row in page.get("/api/results").json]
-        assert names == ["arm-quick", "broken", "elbow"]
+        assert names == ["arm-quick", "broken", "elbow-b", "elbow"]
         assert len(page.get("/api/results/elbow").json["tables"]) == 2
         picture = page.get("/api/results/arm-quick/arm-norm.png")
         assert (picture.status, picture.body) == (200, PIXEL)
