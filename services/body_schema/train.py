@@ -248,7 +248,7 @@ def _grown(old: Schema, added: str, f: Array, length: Array) -> Schema:
 def _random(schema: Schema, seed: int) -> Schema:
     """The schema with the weights of a network that has learned nothing."""
     config = NetworkConfig(len(schema.joints), len(schema.muscles))
-    return replace(schema, weights=initial_weights(config, seed))
+    return replace(narrowed(schema), weights=initial_weights(config, seed))
 
 
 # ── data ──────────────────────────────────────────────────────────────────────────────────────

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.body_schema.network import Array, Weights
-from services.body_schema.schema import Schema
+from services.body_schema.schema import Schema, SchemaError
 from services.body_schema.wires import KNEES_N
 
 Teacher = Callable[[Array, Array], Array]  # theta (B, N) [rad], f (B, M) [N] -> l (B, M) [m]
@@ -30,7 +30,7 @@ Teacher = Callable[[Array, Array], Array]  # theta (B, N) [rad], f (B, M) [N] ->
 ADDED = "added_units"  # in meta: how many in each inner layer and in the last hidden one
 HANDED_ON = 0.1  # of a scaled quantity: tanh is straight there to a third of a percent
 BENDS_N = (*KNEES_N, 4 * KNEES_N[-1])
-DIRECTIONS = 10  # for each joint that a wire crosses
+DIRECTIONS, MOST = 10, 800  # for each joint that a wire crosses; in all: solving goes by its square
 STEEP, ASIDE = 0.75, 1.5  # of a direction over half a joint's range: its slope, its farthest middle
 ASKED = 24
 TOUCHED_M = 1e-6
@@ -67,10 +67,21 @@ def widened(schema: Schema, crossed: NDArray[np.bool_], seed: int = 0) -> Schema
 
 
 def narrowed(schema: Schema) -> Schema:
-    """The schema without the units that `widened` added."""
+    """The schema without the units that `widened` added.
+
+    Raises:
+        SchemaError: its meta tells of units that it does not have.
+    """
     if ADDED not in schema.meta:
         return schema
-    handed, looking = map(int, schema.meta[ADDED].split())
+    word = schema.meta[ADDED]
+    try:
+        handed, looking = map(int, word.split())
+    except ValueError:
+        handed = looking = -1
+    least = min(len(b) for _, b in schema.weights[:4])
+    if not (0 <= handed < least and 0 <= looking < len(schema.weights[4][1])):
+        raise SchemaError(f"the schema's meta tells of added units that it lacks: '{word}'")
     kept = [schema.weights[0][0].shape[1], *(len(b) for _, b in schema.weights)]
     kept = [size - less for size, less in zip(kept, (0, *[handed] * 4, looking, 0), strict=True)]
     weights: Weights = tuple(
@@ -89,7 +100,8 @@ def _looking(schema: Schema, crossed: NDArray[np.bool_], rng: Any) -> tuple[Arra
     at_tension[np.arange(len(bends)), n + np.repeat(np.arange(m), len(BENDS_N))] = bends
     low, high = schema.theta_range_rad.T
     half = (high - low) / 2.0
-    joints = np.repeat(crossed, DIRECTIONS * crossed.sum(axis=1), axis=0)  # (F', N)
+    directions = min(DIRECTIONS, MOST // max(1, int(crossed.sum())))
+    joints = np.repeat(crossed, directions * crossed.sum(axis=1), axis=0)  # (F', N)
     count = joints.sum(axis=1, keepdims=True)
     slope = STEEP * joints * rng.normal(size=joints.shape) / np.sqrt(count) / half  # 1 / rad
     aside = rng.uniform(-ASIDE, ASIDE, len(joints)) - slope @ ((low + high) / 2.0)

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from services.body_schema.growth import grow
 from services.body_schema.network import MASKS, Array
 from services.body_schema.polish import polished
-from services.body_schema.schema import Schema
+from services.body_schema.schema import Schema, SchemaError
 from services.body_schema.widen import crossed_joints, narrowed, widened
 from tests.unit import analytic_body as body
 from tests.unit.schemas import untrained
@@ -51,14 +52,19 @@ def test_a_widened_network_says_what_it_said() -> None:
 
 
 def test_narrowed_it_is_what_it_was_through_bytes_and_a_muscle_more() -> None:
-    from services.body_schema.growth import grow
-
     schema = two_joints()
     wide = Schema.from_bytes(widened(schema, TWO).to_bytes())
     assert narrowed(wide).to_bytes() == schema.to_bytes()
     assert narrowed(schema) is schema
     grown = narrowed(grow(wide, "d", 100.0, 0.03))
     assert grown.to_bytes() == grow(schema, "d", 100.0, 0.03).to_bytes()
+
+
+def test_a_large_body_gets_no_more_than_can_be_solved_for() -> None:
+    names = tuple(f"m{k}" for k in range(40))
+    schema = untrained(names, tuple(f"j{k}" for k in range(5)))
+    added = len(widened(schema, np.ones((40, 5), dtype=bool)).weights[4][1])
+    assert added - len(schema.weights[4][1]) == 4 * 40 + 4 * 200
 
 
 def test_units_look_at_the_joints_of_one_wire_only() -> None:
@@ -107,6 +113,13 @@ def test_a_kink_in_one_wire_spoils_nothing_elsewhere() -> None:
         return float(np.sqrt(((fitted.lengths(theta, f) - length)[away] ** 2).mean()))
 
     assert off_m(robust=True) < 0.3 * off_m(robust=False)
+
+
+@pytest.mark.parametrize("word", ["", "5", "a b", "-1 3", "5000 3", "5 100000"])
+def test_units_that_are_not_there_are_complained_of(word: str) -> None:
+    wide = widened(two_joints(), TWO)
+    with pytest.raises(SchemaError, match="added units that it lacks"):
+        narrowed(replace(wide, meta={"added_units": word}))
 
 
 @pytest.mark.parametrize("seed", [0, 1])
