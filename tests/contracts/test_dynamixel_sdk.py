@@ -15,6 +15,7 @@ from dynamixel_sdk import (
     GroupSyncWrite,
     PacketHandler,
     PortHandler,
+    port_handler,
 )
 
 from hardware_sim.chain import Chain
@@ -24,6 +25,7 @@ from hardware_sim.muscle_bank import MuscleBank
 from hardware_sim.pty import PtyChain
 
 BAUD = 1_000_000
+LATENCY_MS = 100.0  # of the line; the SDK's 16 are short for a thread on a busy machine
 SDK = PacketHandler(2.0)
 MUSCLE, JOINT = 0x4D31, 0x4A31
 
@@ -39,7 +41,8 @@ def chain() -> Chain:
 
 
 @pytest.fixture
-def port(chain: Chain) -> Iterator[PortHandler]:
+def port(chain: Chain, monkeypatch: pytest.MonkeyPatch) -> Iterator[PortHandler]:
+    monkeypatch.setattr(port_handler, "LATENCY_TIMER", LATENCY_MS)
     with PtyChain(chain) as terminal:
         port = PortHandler(terminal.path)
         assert port.openPort()
