@@ -54,7 +54,6 @@ class Arm:
         self.path: Path | None = None
         self.plan: Plan | None = None
         self._asked: tuple[bytes, ...] = ()  # what the plan was made for
-        self._change_n: Array | float = 0.0  # from the plan before, (M,)
         self.excluded: set[str] = set()  # schema muscles that must not be relied on
         self.corrected = False  # whether lengths follow what the model is found to be off by
         self.drawn = False  # the model is the body file's: lengths always follow
@@ -211,18 +210,12 @@ class Arm:
         assert self.schema is not None
         torque = self.skeleton.gravity_torque_nm(theta) - self.guests.torque_nm
         asked = tuple(x.tobytes() for x in (theta, torque, floor_n, ceiling_n))
-        last, sharing = self.plan, self.settings.control.sharing
-        if last is None:
-            self._asked, self._change_n = asked, 0.0
-            return plan(self.schema, theta, torque, floor_n, ceiling_n, sharing=sharing)
-        if last.converged and asked == self._asked:
-            self._change_n = 0.0
-            return last  # at rest: planning goes on from the last plan and would find it again
+        if self.plan is not None and self.plan.converged and asked == self._asked:
+            return self.plan  # at rest: planning goes on from the last plan and would find it again
         self._asked = asked
-        start = last.tension_n + self._change_n  # as if it went on like that: mostly it does
-        found = plan(self.schema, theta, torque, floor_n, ceiling_n, start, sharing)
-        self._change_n = found.tension_n - last.tension_n
-        return found
+        start = None if self.plan is None else self.plan.tension_n
+        sharing = self.settings.control.sharing
+        return plan(self.schema, theta, torque, floor_n, ceiling_n, start, sharing)
 
     def _feel_errors(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
         """What the model's lengths are off by where the arm is now.
