@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from runtime.backoff import Restart
 from runtime.settings import RobotSettings
 
-# Nice levels: who only looks on, and who learns, never takes the processor from control.
-LOOKS = 5
-LEARNS = 10
+# Nice level of who only looks on or learns: of a processor that control keeps busy they get a
+# quarter. At 10 it is a tenth, and relearning starves on a robot that keeps two processors busy.
+UNHURRIED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +35,12 @@ def processes_of(settings: RobotSettings) -> tuple[Spec, ...]:
     return (
         *world,
         *drivers,
-        Spec("recorder", Restart.ON_FAILURE, nice=LOOKS),  # early, so that it is stopped late
+        Spec("recorder", Restart.ON_FAILURE, nice=UNHURRIED),  # early, so that it is stopped late
         Spec("estimator"),
         Spec("executive"),
-        Spec("retrainer", nice=LEARNS),
-        *((Spec("web", Restart.ON_FAILURE, nice=LOOKS),) if can_serve_page() else ()),
-        *((Spec("viz", Restart.ON_FAILURE, nice=LOOKS),) if can_view() else ()),
+        Spec("retrainer", nice=UNHURRIED),
+        *((Spec("web", Restart.ON_FAILURE, nice=UNHURRIED),) if can_serve_page() else ()),
+        *((Spec("viz", Restart.ON_FAILURE, nice=UNHURRIED),) if can_view() else ()),
     )
 
 
