@@ -47,11 +47,11 @@ class Folded:
         first = w1[:, inputs].T / scale_in[:, None]
         moved = (first * offset_in[:, None]).sum(axis=0)
         bias = b1 + (w1.T * constant[:, None]).sum(axis=0) - moved
-        self._first = np.pad(first, ((0, 0), (0, 1)))  # (K, 201)
-        self._bias = np.append(bias, ALWAYS_ONE)  # (201,)
+        self._first = np.pad(first, ((0, 0), (0, 1)))  # (K, U + 1)
+        self._bias = np.append(bias, ALWAYS_ONE)  # (U + 1,)
         self._inner = inner
         offset = b6[outputs] * scale_out + offset_out
-        self._last = np.column_stack((w6[outputs] * scale_out[:, None], offset))  # (R, 201)
+        self._last = np.column_stack((w6[outputs] * scale_out[:, None], offset))  # (R, U + 1)
 
     def __call__(self, a: Array, b: Array) -> Array:
         """One sample: y (R,); or many, (B, N) or (B, M) each -> (B, R), equal but for rounding."""

@@ -44,7 +44,7 @@ def polished(
     """
     c = columns(len(schema.joints), len(schema.muscles))
     targets = schema.scaled(theta, f, length)
-    rows = np.column_stack(schema.weights[-1])  # (N + 2 M, 201)
+    rows = np.column_stack(schema.weights[-1])  # (N + 2 M, U + 1): U units, and the bias
     for own, mask in ((c.length, LENGTHS), (c.theta, ANGLES), (c.tension, TENSIONS)):
         h, wanted = _entering(schema, targets, mask), targets[:, own]
         rows[own] = _solved(h, wanted, rows[own])
@@ -68,7 +68,7 @@ def calmed(schema: Schema, theta: Array, f: Array, length: Array) -> Schema:
 
 
 def _solved(h: Array, wanted: Array, before: Array, counts: Array | None = None) -> Array:
-    """Rows (R, 201) that make h (T, 201) into wanted (T, R), near those before; counts (T, 1)."""
+    """Rows (R, U + 1) that make h (T, U + 1) wanted (T, R), near those before; counts (T, 1)."""
     if counts is not None:
         root = np.sqrt(counts)
         h, wanted = h * root, wanted * root
@@ -83,7 +83,7 @@ def _counts(off: Array) -> Array:
 
 
 def _entering(schema: Schema, targets: Array, mask: Mask) -> Array:
-    """What enters the last layer under a mask, (T, 201): a one stands for the bias."""
+    """What enters the last layer under a mask, (T, U + 1): a one stands for the bias."""
     widths = (len(schema.joints), len(schema.muscles), len(schema.muscles))
     given = np.repeat(mask, widths)
     entering = np.ones((len(targets), len(schema.weights[-2][1]) + 1))

@@ -121,7 +121,7 @@ class Adam:
 class Picks:
     """Samples in random order: MT19937, read in the order in which torch reads it.
 
-    The results in `docs/results` were learned by torch, in this order.
+    Methods (i) to (iii) in `docs/results` learned by torch, in this order.
     """
 
     def __init__(self, seed: int) -> None:
