@@ -6,6 +6,7 @@ registry (hubs.py) and connects to the other robots' hubs it finds there.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import queue
 import threading
@@ -139,7 +140,7 @@ class Group:
                 self._on_exit,
                 self._policy,
             )
-        self._say(f"{self.settings.name}: {len(self._specs)} processes, logs in {logs}")
+        self._tell_person(f"{self.settings.name}: {len(self._specs)} processes, logs in {logs}")
         for child in self._children.values():
             child.start()
         self._thread = threading.Thread(target=self._watch, name="supervisor", daemon=True)
@@ -192,7 +193,7 @@ class Group:
         if park:
             self._park()
         if self._hurry.is_set():
-            self._say(f"{self.settings.name}: stopping the arm")
+            self._tell_person(f"{self.settings.name}: stopping the arm")
             self._bus.request(Estop(reason="interrupted twice"), timeout_s=2.0)
         self._ending = True
         patience_s = 0.5 if self._hurry.is_set() else TERM_PATIENCE_S
@@ -202,7 +203,7 @@ class Group:
         self._thread.join()
         self._bus.__exit__(None, None, None)
         self._claim.release()
-        self._say(f"{self.settings.name}: stopped")
+        self._tell_person(f"{self.settings.name}: stopped")
 
     # ── the watching thread ────────────────────────────────────────────────────────────────────
 
@@ -233,10 +234,10 @@ class Group:
         child = self._children.get(presence.process)
         if child is None or not presence.alive or child.state != "starting":
             return False
-        child.became_ready()
         file = address_file(self.run_dir, presence.process)
         address = f": {file.read_text()}" if file.exists() else ""
-        self._say(f"{self.settings.name}: {presence.process} ready{address}")
+        self._tell_person(f"{self.settings.name}: {presence.process} ready{address}")
+        child.became_ready()  # after it is said: who waits for readiness has the lines before it
         if child.restarts:
             self._tell_event("process_restarted", "info", child, f"{presence.process} is back")
         return True
@@ -247,7 +248,7 @@ class Group:
             return
         what = {"backoff": "restarting", "failed": "given up"}.get(child.state, child.state)
         text = f"{child.spec.process} died ({child.last_exit}), {what}: see {child.log_file}"
-        self._say(f"{self.settings.name}: {text}")
+        self._tell_person(f"{self.settings.name}: {text}")
         level = "info" if child.state == "stopped" else "error"
         self._tell_event("process_died", level, child, text)
         if child.state == "failed":
@@ -287,25 +288,29 @@ class Group:
             with self._changed:
                 self._changed.notify_all()
 
+    def _tell_person(self, line: str) -> None:
+        with contextlib.suppress(OSError):  # nobody reads any more: no reason to let go of a robot
+            self._say(line)
+
     # ── inside ─────────────────────────────────────────────────────────────────────────────────
 
     def _park(self) -> None:
         executive = self._children.get(EXECUTIVE)
         if executive is None or executive.state != "ready" or self._hurry.is_set():
             return
-        self._say(f"{self.settings.name}: parking (Ctrl-C again stops at once)")
+        self._tell_person(f"{self.settings.name}: parking (Ctrl-C again stops at once)")
         parking = Parking(time.monotonic(), PARK_PATIENCE_S)
         self._parking = parking
         replies = self._bus.request(Task(name="park"), timeout_s=2.0)
         if not any(reply.ok for reply in replies):
             refusal = replies[0].text if replies else "nobody answered"
-            self._say(f"{self.settings.name}: not parked: {refusal}")
+            self._tell_person(f"{self.settings.name}: not parked: {refusal}")
             return
         while not (parking.over(time.monotonic()) or executive.state != "ready"):
             if self._hurry.wait(0.05):
                 return
         how = "parked" if parking.parked else "not parked in time, stopped as it is"
-        self._say(f"{self.settings.name}: {how}")
+        self._tell_person(f"{self.settings.name}: {how}")
 
     def _on_exit(self, child: Child, code: int) -> None:
         self._exits.put((child, code))

@@ -83,7 +83,7 @@ class Up:
                         only=only,
                         connect=tuple(args.connect),
                         run_dir=run_dir,
-                        say=lambda line: print(line, flush=True),
+                        say=_say,
                     )
                 )
         except HubError as error:
@@ -97,6 +97,16 @@ class Up:
         if not can_serve_page():
             print("no web page: install the extra `web` for it (myograft doctor)")
         return _attend(groups)
+
+
+def _say(line: str) -> None:
+    """Tell a person; who listens no more (`| head`, a closed terminal) does not end the robot."""
+    try:
+        print(line, flush=True)
+    except OSError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def _attend(groups: list[Group]) -> int:
@@ -140,11 +150,11 @@ def _tell_when_ready(groups: list[Group], told: threading.Event) -> None:
             if time.monotonic() > started_s + 30:
                 waiting = [row.process for row in group.rows if row.state != "ready"]
                 what = ", ".join(waiting) or "the world to tell the time"
-                print(f"{group.settings.name}: still waiting for {what}")
+                _say(f"{group.settings.name}: still waiting for {what}")
                 return
         if not told.is_set():
             took_s = time.monotonic() - started_s
-            print(f"{group.settings.name}: ready after {took_s:.1f} s; Ctrl-C parks and stops")
+            _say(f"{group.settings.name}: ready after {took_s:.1f} s; Ctrl-C parks and stops")
 
 
 class Down:

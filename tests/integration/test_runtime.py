@@ -302,11 +302,33 @@ def test_split_over_hosts_by_a_router() -> None:
         ear.wait_for(lambda m: isinstance(m, TrainingProgress))
 
 
-def test_up_in_the_foreground_until_ctrl_c(home: Path) -> None:
-    command = [sys.executable, "-m", "runtime.cli.main", "up", settings("fore").file]
+def test_a_process_is_said_to_be_ready_before_it_counts_as_ready() -> None:
+    told = []
+    group = Group(
+        settings("said"),
+        processes=(COUNTER,),
+        say=lambda line: told.append((line, group.ready)),
+    )
+    with group:
+        assert group.wait_ready(15)
+    assert ("said: counter ready", False) in told
+
+
+@contextmanager
+def foreground(name: str) -> Iterator[subprocess.Popen[str]]:
+    """`myograft up` with one process, in the foreground; killed if the test is not content."""
+    command = [sys.executable, "-m", "runtime.cli.main", "up", settings(name).file]
     with subprocess.Popen(
-        [*command, "--name", "fore", "--only", "recorder"], stdout=subprocess.PIPE, text=True
+        [*command, "--name", name, "--only", "recorder"], stdout=subprocess.PIPE, text=True
     ) as up:
+        try:
+            yield up
+        finally:
+            up.kill()
+
+
+def test_up_in_the_foreground_until_ctrl_c(home: Path) -> None:
+    with foreground("fore") as up:
         assert up.stdout is not None
         told = ""
         for line in up.stdout:
@@ -322,6 +344,19 @@ def test_up_in_the_foreground_until_ctrl_c(home: Path) -> None:
     recording = home / "myograft" / "fore" / "runs" / "latest" / "messages.mcap"
     with recording.open("rb") as file:
         assert make_reader(file).get_summary() is not None  # closed whole, not torn
+
+
+def test_up_goes_on_and_stops_well_when_nobody_reads_its_lines_any_more() -> None:
+    with foreground("unread") as up:
+        assert up.stdout is not None
+        assert up.stdout.readline()
+        up.stdout.close()
+        (hub,) = living_hubs()
+        with listening_at(hub.endpoint, "unread", GroupState) as ear:
+            ear.wait_for(lambda m: isinstance(m, GroupState) and m.ready)
+        up.send_signal(signal.SIGINT)
+        assert up.wait(10) == 0
+    assert living_hubs() == []
 
 
 SUPERVISOR = """
