@@ -1,14 +1,9 @@
-"""The bus: the only file that imports Zenoh.
-
-Everyone is a listening peer that connects to the hub, its supervisor, and by gossip to all others:
-peers that do not listen never meet. Multicast scouting is off. A lease of one second ends the link
-to a peer that stands still, so nothing waits longer than that for anybody.
+"""The bus: what a process says, hears, asks and answers, over Zenoh.
 
 Nothing that a control loop publishes may block it. LATEST and QUEUE topics (states, commands, bus
 bytes) go out at once with DROP: a lost sample costs one sample, and on the loopback a queue fills
 only in front of a peer that has stopped reading. RETAINED and HISTORY topics (schema, body, events)
-must arrive and may be large, so a thread of their own sends them with BLOCK, cached for those who
-come late and numbered so that a gap is noticed and repaired (advanced pub/sub).
+must arrive and may be large, so a thread of their own sends them (`courier.py`).
 
 Arrivals are kept as bytes in a `Mailbox` and read when the process takes them, so that what a
 LATEST slot overwrites is never decoded.
@@ -18,8 +13,6 @@ from __future__ import annotations
 
 import json
 import logging
-import queue
-import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -30,24 +23,20 @@ import msgspec
 import zenoh
 import zenoh.ext as zext
 
+from runtime.courier import HISTORY_DEPTH, Courier, cache_depth
 from runtime.envelope import EnvelopeError, decode, encode, encoding_of
+from runtime.links import LOOPBACK, session_settings, thinning
 from runtime.mailbox import QUEUE_DEPTH, Mailbox
 from runtime.messages import Clock, Message, Presence, Reply
 from runtime.topics import (
     BY_TYPE,
     REQUEST_BY_TYPE,
     TOKEN_KEY,
-    TOPICS,
     Keep,
     Topic,
     key_of,
     key_pattern,
 )
-
-LOOPBACK = "tcp/127.0.0.1:0"
-LEASE_MS = 1000
-HISTORY_DEPTH = 50
-HEARTBEAT_S = 0.2  # after which a lost last sample of a retained topic is noticed
 
 log = logging.getLogger(__name__)
 
@@ -108,15 +97,18 @@ class Bus:
         self.process = process
         self.dropped = 0  # messages that could not be read, since start
         self.received: Counter[str] = Counter()  # message type -> read, since start
-        self._config = _config(endpoint, listen, also)
+        settings = session_settings(endpoint, listen, also)
         if most_hz:
-            self._config.insert_json5("downsampling", json.dumps(_thinning(robot, most_hz, chains)))
+            settings |= thinning(robot, most_hz, chains)
+        self._config = zenoh.Config()
+        for key, value in settings.items():
+            self._config.insert_json5(key, json.dumps(value))
         self._where = endpoint or listen
         self._box: Mailbox[_Arrival | Presence] = Mailbox()
         self._polled: list[_Polled] = []
         self._declared: list[Any] = []  # kept alive: tokens die with their Python objects
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._courier = _Courier()
+        self._courier = Courier()
         self._odd: set[str] = set()
         self._odd_news: list[str] = []
 
@@ -308,7 +300,7 @@ class Bus:
                     pattern,
                     arrived,
                     history=zext.HistoryConfig(
-                        detect_late_publishers=True, max_samples=_cache_depth(topic)
+                        detect_late_publishers=True, max_samples=cache_depth(topic)
                     ),
                     recovery=zext.RecoveryConfig(periodic_queries=None, heartbeat=True),
                 )
@@ -387,70 +379,6 @@ class _Polled(NamedTuple):
                 yield _Arrival(self.kind, sample)
 
 
-class _Courier:
-    """Sends what must arrive, on a thread of its own that may wait for slow readers."""
-
-    def __init__(self) -> None:
-        self._letters: queue.SimpleQueue[tuple[str, Topic, bytes] | None] = queue.SimpleQueue()
-        self._thread: threading.Thread | None = None
-
-    def start(self, session: zenoh.Session) -> None:
-        self._thread = threading.Thread(target=self._run, args=(session,), daemon=True)
-        self._thread.start()
-
-    def send(self, key: str, topic: Topic, payload: bytes) -> None:
-        self._letters.put((key, topic, payload))
-
-    def stop(self) -> None:
-        """Send what is left, then end."""
-        self._letters.put(None)
-        if self._thread is not None:
-            self._thread.join(timeout=2 * LEASE_MS / 1000)
-
-    def _run(self, session: zenoh.Session) -> None:
-        publishers: dict[str, zext.AdvancedPublisher] = {}
-        while (letter := self._letters.get()) is not None:
-            key, topic, payload = letter
-            try:
-                if key not in publishers:
-                    publishers[key] = _retaining_publisher(session, key, topic)
-                publishers[key].put(payload)
-            except zenoh.ZError:
-                log.exception("could not send %s", key)
-        for publisher in publishers.values():
-            publisher.undeclare()  # type: ignore[no-untyped-call]
-
-
-def _retaining_publisher(session: zenoh.Session, key: str, topic: Topic) -> zext.AdvancedPublisher:
-    return zext.declare_advanced_publisher(
-        session,
-        key,
-        encoding=encoding_of(topic.message),
-        congestion_control=zenoh.CongestionControl.BLOCK,
-        priority=zenoh.Priority.DATA_LOW,  # a large schema never stands before a command
-        cache=zext.CacheConfig(_cache_depth(topic)),
-        sample_miss_detection=zext.MissDetectionConfig(
-            heartbeat=None, sporadic_heartbeat=HEARTBEAT_S
-        ),
-        publisher_detection=True,
-    )
-
-
-def _cache_depth(topic: Topic) -> int:
-    return HISTORY_DEPTH if topic.keep is Keep.HISTORY else 1
-
-
-def _thinning(robot: str, most_hz: float, chains: tuple[str, ...]) -> list[dict[str, Any]]:
-    """Zenoh drops what comes too fast on its own threads, before Python hears of it.
-
-    It counts by rule and link, not by key, so that chains must not share a rule.
-    """
-    fast = [row for row in TOPICS if row.keep is Keep.LATEST and row.rate_hz > most_hz]
-    keys = {key_pattern(robot, row.message, chain): 0 for row in fast for chain in chains or ("*",)}
-    rules = [{"key_expr": key, "freq": most_hz} for key in keys]
-    return [{"messages": ["put"], "flows": ["ingress"], "rules": rules}]
-
-
 def _read(kind: type[Any], sample: Any) -> Any:
     payload = b"" if sample.payload is None else bytes(sample.payload)
     return decode(kind, payload, str(sample.encoding))
@@ -466,29 +394,3 @@ def _is_key(key: str) -> bool:
 
 def _last(key: str) -> str:
     return key.rsplit("/", 1)[-1]
-
-
-def _config(endpoint: str, listen: str, also: tuple[str, ...]) -> zenoh.Config:
-    connect = [name for name in (endpoint, *also) if name]
-    config = zenoh.Config()
-    settings: dict[str, Any] = {
-        "mode": "peer" if listen else "client",
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": True,
-        "scouting/delay": 0,  # else opening may take half a second
-        "connect/endpoints": connect,
-        "connect/timeout_ms": 0 if also and not endpoint else 2000,
-        "connect/exit_on_failure": bool(endpoint),
-        "connect/retry": {
-            "period_init_ms": 100,
-            "period_max_ms": 200,
-            "period_increase_factor": 1,
-        },
-        "transport/link/tx/lease": LEASE_MS,
-        "timestamping/enabled": True,  # the publishers' caches need it
-    }
-    if listen:
-        settings["listen/endpoints"] = [listen]
-    for key, value in settings.items():
-        config.insert_json5(key, json.dumps(value))
-    return config
