@@ -28,18 +28,17 @@ from services.body_schema.motions import (
     with_length_residuals,
 )
 from services.body_schema.network import (
-    MASKS,
     Array,
     NetworkConfig,
     Weights,
     initial_weights,
 )
 from services.body_schema.polish import calmed, polished
+from services.body_schema.samples import Samples, masked, with_zeros
 from services.body_schema.schema import Schema
 from services.body_schema.train_network import (
     Adam,
     Picks,
-    Single,
     Trainee,
     losses_and_slope,
     one_thread,
@@ -112,7 +111,7 @@ def train_old(
         theta_range_rad=_range(theta),
         tension_range_n=_range(f),
     )
-    weights = _train(blank, _scaled(blank, theta, f, length), None, recipe, seed, progress)
+    weights = _train(blank, masked(blank, theta, f, length), None, recipe, seed, progress)
     return _with_residuals(replace(blank, weights=weights), theta, f, length)
 
 
@@ -141,15 +140,15 @@ def relearn(
         raise TrainingError(f"method {method} is unknown, there are {', '.join(METHODS)}")
     theta, f, length = taut_samples(motions, len(old.joints), len(old.muscles) + bool(added))
     rng = np.random.default_rng(seed)
-    replay = _scaled(old, *_replay(old, rng))
+    replay = masked(old, *_replay(old, rng))
     start = replace(old, wires=None)
     if added:
-        replay = _with_zeros(replay, len(old.joints), len(old.muscles))
+        replay = with_zeros(replay, len(old.joints), len(old.muscles))
         start = _grown(old, added, f, length)
     if not copy:
         start = _random(start, seed)
     weights = _train(
-        start, _scaled(start, theta, f, length), (replay, METHODS[method]), recipe, seed, progress
+        start, masked(start, theta, f, length), (replay, METHODS[method]), recipe, seed, progress
     )
     return _with_residuals(replace(start, weights=weights), theta, f, length)
 
@@ -189,7 +188,7 @@ def teach(
     tension = SLACK_N + share * (strong - SLACK_N)
     answers = teacher(asked, tension)
     start = calmed(start, asked, tension, answers)  # h_old's last layer may have been polished
-    lesson = _scaled(start, asked, tension, answers)
+    lesson = masked(start, asked, tension, answers)
     taught = replace(start, weights=_train(start, lesson, None, recipe, seed, progress))
     if polish:
         taught = widened(taught, crossed_joints(teacher, asked, tension), seed)
@@ -222,7 +221,7 @@ def distil(
     kept = [old.muscles.index(muscle) for muscle in start.muscles]
     theta, f, length = _replay(old, np.random.default_rng(seed))
     start = calmed(start, theta, f[:, kept], length[:, kept])
-    data = _scaled(start, theta, f[:, kept], length[:, kept])
+    data = masked(start, theta, f[:, kept], length[:, kept])
     weights = _train(start, data, None, recipe, seed, progress)
     student = replace(start, weights=weights)
     lost_m = student.lengths(theta, f[:, kept]) - length[:, kept]
@@ -254,46 +253,6 @@ def _random(schema: Schema, seed: int) -> Schema:
 # ── data ──────────────────────────────────────────────────────────────────────────────────────
 
 
-@dataclass(frozen=True, eq=False)
-class _Data:
-    """Scaled samples and their three masked inputs."""
-
-    inputs: Single  # (T, 3, N + 2 M + 3)
-    targets: Single  # (T, 1, N + 2 M)
-    keep: Single  # (T, 1, N + 2 M): r, 0 where the target is not known
-
-    def __len__(self) -> int:
-        return len(self.targets)
-
-    def __add__(self, other: _Data) -> _Data:
-        """These samples and behind them the others."""
-        return _Data(
-            np.concatenate((self.inputs, other.inputs)),
-            np.concatenate((self.targets, other.targets)),
-            np.concatenate((self.keep, other.keep)),
-        )
-
-
-def _scaled(schema: Schema, theta: Array, f: Array, length: Array) -> _Data:
-    targets = schema.scaled(theta, f, length)
-    widths = (len(schema.joints), len(schema.muscles), len(schema.muscles))
-    inputs = [
-        np.hstack((targets * np.repeat(mask, widths), np.tile(mask, (len(f), 1)))) for mask in MASKS
-    ]
-    known = single(targets[:, None])
-    return _Data(single(np.stack(inputs, axis=1)), known, np.ones_like(known))
-
-
-def _with_zeros(data: _Data, n: int, m: int) -> _Data:
-    """The same samples for a body of one muscle more, which reads zero and is not scored."""
-    at = [n + m, n + 2 * m]
-
-    def insert(a: Single) -> Single:
-        return np.insert(a, at, 0.0, axis=-1)
-
-    return _Data(insert(data.inputs), insert(data.targets), insert(data.keep))
-
-
 def _replay(schema: Schema, rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Random theta (T, N) [rad] and f (T, M) [N] where h_old was learned, and its l (T, M) [m]."""
     (low, high), (weak, strong) = schema.theta_range_rad.T, schema.tension_range_n.T
@@ -320,8 +279,8 @@ def _with_residuals(schema: Schema, theta: Array, f: Array, length: Array) -> Sc
 
 def _train(
     start: Schema,
-    new: _Data,
-    old: tuple[_Data, Callable[[float], float]] | None,
+    new: Samples,
+    old: tuple[Samples, Callable[[float], float]] | None,
     recipe: Recipe,
     seed: int,
     progress: Progress | None,

@@ -17,9 +17,10 @@ from runtime.messages import Message
 from services.body_schema.schema import Schema, SchemaError
 from services.logic.arm import Arm
 from services.logic.drawing import drawn_wires
-from services.logic.growth import Growth, GrowthRecord, Target, spread_targets
+from services.logic.growth import Growth, GrowthRecord
 from services.logic.memory import Notebook
 from services.logic.relearning import BY_WIRES
+from services.logic.targets import Target, spread_targets
 from services.logic.versions import NONE
 
 LOST_S = 0.5  # a muscle gone for longer than this is gone
