@@ -40,8 +40,8 @@ MEASURES = (
         4,
         paper={("before", 0): 0.0214, ("(i)", 15): 0.0245, ("(i) no copy", 15): 0.158},
         claims={
-            **dict.fromkeys((1, 3, 5, 7), "(iii) < (ii) < (i)"),
-            **dict.fromkeys((10, 15), "(i) < (iii) < (ii)"),
+            **dict.fromkeys((1, 3, 5, 7), "(iii) < (ii) < (i) < (i) no copy"),
+            **dict.fromkeys((10, 15), "(i) < (iii) < (ii) < (i) no copy"),
         },
     ),
     Measure(
