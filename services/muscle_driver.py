@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from runtime.logic import Logic
-from runtime.messages import BusRequest, Message, Reply
+from runtime.messages import BusRequest, ChainCommand, Message, Reply
 from runtime.process import Launch
 from runtime.wire.link import SerialLink, parse_link
 from services.logic.muscle_driver import MuscleDriver
@@ -16,7 +16,8 @@ def main(launch: Launch) -> None:
     chain = next(row for row in launch.settings.chain if row.name == launch.instance)
     driver = MuscleDriver(launch.settings, chain.name, launch.store)
     port = parse_link(chain.link, chain.baud)
-    launch.run(driver if port is None else OverSerial(driver, SerialLink(port)))
+    logic = driver if port is None else OverSerial(driver, SerialLink(port))
+    launch.run(logic, unhurried=(ChainCommand,))  # a command counts from the next cycle on
 
 
 class OverSerial:
