@@ -10,9 +10,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from dashboard.viewer import free_port
 from runtime.bus import Bus
 from runtime.child import spawn
+from runtime.hubs import free_endpoint
 from runtime.manifest import chosen, processes_of
 from runtime.messages import Message
 from runtime.priority import step_back
@@ -111,7 +111,7 @@ class Robot:
 @contextmanager
 def hub(robot: str) -> Iterator[tuple[Bus, str]]:
     """A bus to be the first on, and its endpoint."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     with Bus(robot, "test", listen=endpoint) as bus:
         yield bus, endpoint
 

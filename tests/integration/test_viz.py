@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 from dashboard.photo import photograph
-from dashboard.viewer import free_port, open_view, viewer_binary
+from dashboard.viewer import open_view, viewer_binary
 from runtime import messages as m
 from runtime.bus import Bus
+from runtime.hubs import free_endpoint, free_port
 from runtime.settings import load_robot
 from tests.made_up_run import ADDED, PLUG_S, run
 from tests.viz_process import Viz
@@ -180,7 +181,7 @@ def test_page_is_served_on_loopback_and_ends_with_its_owner(recording: Path) -> 
 
 @pytest.fixture
 def hub() -> Iterator[tuple[Bus, str]]:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     with Bus("elbow", "test", listen=endpoint) as bus:
         bus.subscribe(m.Event, m.Presence)
         yield bus, endpoint
