@@ -33,11 +33,18 @@ class Viz:
         arguments = ["--robot", settings.file, *where, "--endpoint", endpoint]
         (spec,) = chosen(processes_of(settings), ("viz",))
         self.process = spawn(spec, arguments, folder / "viz.log")
-        deadline = time.monotonic() + 30.0
-        while "viz" not in bus.alive(0.2):
+        try:
+            self._await(bus)
+        except BaseException:
+            self.process.kill()
+            raise
+        step_back(self.process.pid, spec.nice)
+
+    def _await(self, bus: Bus) -> None:
+        deadline = time.monotonic() + 60.0
+        while "viz" not in bus.alive():
             assert self.process.poll() is None, "viz ended at once: see its log"
             assert time.monotonic() < deadline, "viz does not become ready"
-        step_back(self.process.pid, spec.nice)
 
     @property
     def url(self) -> str:
@@ -47,7 +54,7 @@ class Viz:
     def end(self) -> int:
         """Ask it to stop; its exit code."""
         self.process.terminate()
-        return self.process.wait(15.0)
+        return self.process.wait(60.0)
 
     def __enter__(self) -> Self:
         return self

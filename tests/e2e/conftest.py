@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -38,7 +40,8 @@ WATCHED = (
     m.TrainingProgress,
     m.WorldTruth,
 )
-PATIENCE_S = 20.0  # of wall time, for what only a broken robot does not do
+PATIENCE_S = 60.0  # of wall time, for what only a broken robot does not do
+START_S = 0.2  # of the processor, for a Python of ours to start: see `slowness`
 
 M = TypeVar("M", bound=Message)
 
@@ -193,7 +196,7 @@ def running(
             Watch(bus) as watch,
         ):
             robot = Robot(group, watch, state_dir)
-            assert group.wait_ready(30.0), group.rows
+            assert group.wait_ready(2 * PATIENCE_S), group.rows
             robot.hold()
             yield robot
     finally:
@@ -234,10 +237,13 @@ class Command:
             self.process.send_signal(signal.SIGINT)
         return self.over()
 
-    def over(self, patience_s: float = 40.0) -> int:
-        """It ends by itself; gives the exit code."""
-        code = self.process.wait(patience_s)
-        self._reader.join(5)
+    def over(self) -> int:
+        """It ends by itself; gives the exit code. One that does not is killed."""
+        try:
+            code = self.process.wait(2 * PATIENCE_S)
+        finally:
+            self.process.kill()
+        self._reader.join(PATIENCE_S)
         assert self.process.stdout is not None
         self.process.stdout.close()
         return code
@@ -268,6 +274,19 @@ def waited_s(pid: int) -> float:
         with contextlib.suppress(OSError):  # it has just ended
             longest_ns = max(longest_ns, int(thread.read_text().split()[1]))
     return longest_ns * 1e-9
+
+
+@functools.cache
+def slowness() -> float:
+    """How many times slower than usual this host's processor is; at least 1.
+
+    Bounds in wall time grow by it: it is what a Python of ours needs of the processor to start.
+    """
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([sys.executable, "-c", "import runtime.process"], check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent_s = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+    return max(1.0, spent_s / START_S)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -13,7 +13,7 @@ from runtime import messages as m
 from runtime.bus import Bus
 from runtime.cli.main import DONE, main
 from runtime.hubs import find_hub, living_hubs
-from tests.e2e.conftest import Command, Watch, elbow
+from tests.e2e.conftest import PATIENCE_S, Command, Watch, elbow
 from tests.shown import TUTORIAL, Shown, shown
 
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]
@@ -35,7 +35,6 @@ FOLLOWS = {  # how a command begins -> events of which one says that it is over
     "task": ("task_done",),
     "estop": ("stopped",),
 }
-PATIENCE_S = 40.0
 
 
 @contextmanager

@@ -38,7 +38,7 @@ FLAGS = (
     "--disable-sync",
 )
 SPEED = 2.0
-PATIENCE_MS = 20_000
+PATIENCE_MS = 60_000
 WIDE = {"width": 1400, "height": 1000}
 PHONE = {"width": 390, "height": 844}
 

@@ -122,13 +122,19 @@ def pid_of(group: Group, process: str) -> int:
     return next(row.pid for row in group.rows if row.process == process)
 
 
-def test_killed_process_is_noticed_at_once_restarted_and_finds_its_store() -> None:
+def only_when_told(group: Group) -> float:
+    """How long a supervisor sleeps that looks by itself for restarts alone."""
+    return 0.01 if any(row.state == "backoff" for row in group.rows) else 10 * PATIENCE_S
+
+
+def test_killed_process_is_noticed_at_once_restarted_and_finds_its_store(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Group, "_wait_s", only_when_told)
     with running("killed", COUNTER) as group, listening(group, Event, TrainingProgress) as ear:
         before = ear.wait_for(lambda m: isinstance(m, TrainingProgress) and m.epoch >= 3)
         os.kill(pid_of(group, "counter"), signal.SIGKILL)
-        killed_at = time.monotonic()
         died = ear.wait_for(happened("process_died"))
-        assert time.monotonic() - killed_at < 0.25  # 50 ms is meant; a busy machine may be late
         assert isinstance(died, Event)
         assert died.data["exit"] == "killed by SIGKILL"
         ear.wait_for(happened("process_restarted"))
