@@ -123,9 +123,11 @@ def hub(robot: str) -> Iterator[tuple[Bus, str]]:
         yield bus, endpoint
 
 
-def wait_until(done: Callable[[], bool], what: str, limit_s: float = 20.0) -> None:
+def wait_until(
+    done: Callable[[], bool], what: str, limit_s: float = 20.0, pause_s: float = 0.02
+) -> None:
     """Wait for a condition."""
     deadline = time.monotonic() + limit_s
     while not done():
         assert time.monotonic() < deadline, f"{what} did not happen within {limit_s:g} s"
-        time.sleep(0.02)
+        time.sleep(pause_s)

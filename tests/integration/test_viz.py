@@ -227,14 +227,14 @@ def test_process_draws_dies_and_goes_on_in_a_new_file(hub: tuple[Bus, str], tmp_
         address = told_address(bus, play(bus, 0.0, 10.0))
         assert viz.url == address
         first = viz.run_dir / "elbow.rrd"
-        wait_until(lambda: contents(first)[1]["/muscle"] > 10, "the run on file", PATIENCE_S)
+        wait_until(lambda: contents(first)[1]["/muscle"] > 10, "a file", PATIENCE_S, 0.25)
         viz.process.kill()
         viz.process.wait()
     with Viz(load_robot("elbow"), bus, endpoint, tmp_path) as viz:
         assert viz.url == told_address(bus, play(bus, 10.0, 20.0), address)
         assert viz.url != address, "a page has to open it anew"
         second = viz.run_dir / "elbow-2.rrd"
-        wait_until(lambda: "collect" in contents(second)[2], "the next piece", PATIENCE_S)
+        wait_until(lambda: "collect" in contents(second)[2], "another", PATIENCE_S, 0.25)
         assert viz.end() == 0
     (run_id, rows, _), (run_id_2, more_rows, _) = contents(first), contents(second)
     assert run_id == run_id_2 == "elbow-run-1", "both open as one run"
