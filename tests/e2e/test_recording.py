@@ -21,7 +21,7 @@ from runtime.cli.main import DONE, REFUSED, main
 from runtime.hubs import find_hub
 from runtime.runs import read_all, recordings
 from runtime.settings import RobotSettings
-from tests.e2e.conftest import Command, Watch, elbow, slowness
+from tests.e2e.conftest import Command, Watch, elbow, within
 
 pytestmark = pytest.mark.e2e
 
@@ -211,5 +211,5 @@ def test_ctrl_c_twice_lets_the_wires_go_at_once(risen: tuple[Command, Watch]) ->
     assert f"{NAME}: stopping the arm\n" in command.lines
     assert f"{NAME}: stopped\n" in command.lines
     assert modes & {"stopping", "stopped"}, "the wires were not let go"
-    assert took_s < AT_ONCE_S * slowness()
+    assert within(took_s, AT_ONCE_S)
     assert strongest_n < STRONGEST_N
