@@ -45,8 +45,7 @@ from runtime.parking import Parking
 from runtime.settings import RobotSettings
 
 GROUP_STATE_S = 1.0
-PARK_PATIENCE_S = 10.0  # of robot time, and of wall time
-SLOWEST_PARK_S = 60.0  # of wall time, though robot time may stand still
+PARK_PATIENCE_S = 20.0  # of wall time: where robot time is slow, so is the arm
 TERM_PATIENCE_S = 3.0
 
 
@@ -305,21 +304,14 @@ class Group:
         if executive is None or executive.state != "ready" or self._hurry.is_set():
             return
         self._tell_person(f"{self.settings.name}: parking (Ctrl-C again stops at once)")
-        asked_s, asked_ns = time.monotonic(), self._member.now_ns() or 0
-        parking = Parking(asked_s, SLOWEST_PARK_S)
+        parking = Parking(time.monotonic(), PARK_PATIENCE_S)
         self._parking = parking
-
-        def patient() -> bool:  # on a machine that is too slow robot time, and so the arm, is slow
-            wall_s = time.monotonic() - asked_s
-            robot_s = ((self._member.now_ns() or 0) - asked_ns) * 1e-9
-            return min(wall_s, robot_s) < PARK_PATIENCE_S
-
         replies = self._bus.request(Task(name="park"), timeout_s=2.0)
         if not any(reply.ok for reply in replies):
             refusal = replies[0].text if replies else "nobody answered"
             self._tell_person(f"{self.settings.name}: not parked: {refusal}")
             return
-        while patient() and not (parking.over(time.monotonic()) or executive.state != "ready"):
+        while not (parking.over(time.monotonic()) or executive.state != "ready"):
             if self._hurry.wait(0.05):
                 return
         how = "parked" if parking.parked else "not parked in time, stopped as it is"

@@ -30,7 +30,7 @@ RUN_S = 5.0
 LOST_S = 1.0  # of robot time, which runs no faster than wall time here
 STRONGEST_N = 150.0
 # Of wall time, from the second Ctrl-C until all is over: half a second for each of eight processes
-# that is killed because it does not go, and for the supervisor itself. Parking has ten.
+# that is killed because it does not go, and for the supervisor itself. Parking has twenty.
 AT_ONCE_S = 7.0
 
 

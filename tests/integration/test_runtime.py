@@ -225,8 +225,7 @@ def test_parks_before_it_stops() -> None:
 
 
 def test_hurry_ends_a_long_parking(monkeypatch: pytest.MonkeyPatch) -> None:
-    for patience in ("PARK_PATIENCE_S", "SLOWEST_PARK_S"):
-        monkeypatch.setattr(supervisor, patience, 10 * PATIENCE_S)
+    monkeypatch.setattr(supervisor, "PARK_PATIENCE_S", 10 * PATIENCE_S)
     never = Spec("executive", entry=f"{HERE}:never_parks")
     with running("hurried", never) as group, listening(group, ExecutiveState) as ear:
         stopper = threading.Thread(target=group.stop, daemon=True)
