@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dashboard.viewer import ViewerError, free_port, viewer_binary
+from dashboard.viewer import ViewerError, viewer_binary
+from runtime.hubs import free_port
 
 if TYPE_CHECKING:  # the command is listed without importing Rerun
     from rerun.experimental import ViewerClient

@@ -18,6 +18,8 @@ from types import TracebackType
 from typing import Self
 from urllib.parse import quote
 
+from runtime.hubs import free_port
+
 LOOPBACK = "127.0.0.1"
 START_S = 15.0
 LIVE_MEMORY = "2GB"  # of a window that is open for hours; what it forgets is in the file
@@ -59,17 +61,6 @@ class Viewer:
         self.close()
 
 
-def free_port() -> int:
-    """A TCP port on loopback that nobody listens on.
-
-    Rerun's servers only log an error when their port is taken, and drop everything they are given.
-    """
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 def has_display(environ: Mapping[str, str] = os.environ, platform: str = sys.platform) -> bool:
     """Whether a window could be opened here."""
     if platform in ("darwin", "win32"):
@@ -93,6 +84,7 @@ def open_view(*sources: str | Path, window: bool | None = None) -> Viewer:
         lives = any("://" in source for source in shown)
         memory = ["--memory-limit", LIVE_MEMORY] if lives else []
         return Viewer(_start([binary, "--bind", LOOPBACK, "--port", "auto", *memory, *shown]))
+    # Rerun's servers only log an error when their port is taken, and drop what they are given.
     page_port, data_port = free_port(), free_port()
     files = [source for source in shown if "://" not in source]
     process = _start(

@@ -22,7 +22,7 @@ from dashboard.body import Body
 from dashboard.plots import MANY
 from dashboard.sinks import RerunCanvas, segment_file
 from dashboard.stream import Stream
-from dashboard.viewer import free_port
+from runtime.hubs import free_port
 from runtime.messages import ChainState, JointEstimate, Message, TrainingProgress
 from runtime.process import Launch
 from runtime.settings import RobotSettings

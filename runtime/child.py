@@ -60,6 +60,7 @@ class Child:
         self._on_exit = on_exit
         self._backoff = Backoff(spec.restart, policy)
         self._process: subprocess.Popen[bytes] | None = None
+        self._waiter = threading.Thread()
 
     @property
     def row(self) -> ProcessRow:
@@ -78,7 +79,8 @@ class Child:
         self.restart_at_s = None
         self.state = "starting"
         self._process = spawn(self.spec, self._arguments, self.log_file)
-        threading.Thread(target=self._wait, args=(self._process,), daemon=True).start()
+        self._waiter = threading.Thread(target=self._wait, args=(self._process,), daemon=True)
+        self._waiter.start()
 
     def became_ready(self) -> None:
         """Take note of its liveliness token; from now on it has its priority."""
@@ -114,7 +116,7 @@ class Child:
         return True
 
     def terminate(self, patience_s: float) -> None:
-        """SIGTERM, and SIGKILL for one that does not go."""
+        """SIGTERM, and SIGKILL for one that does not go; `on_exit` has been called after this."""
         self.restart_at_s = None
         if self._process is None:
             return
@@ -124,6 +126,7 @@ class Child:
         except subprocess.TimeoutExpired:
             self._signal(signal.SIGKILL)
             self._process.wait()
+        self._waiter.join()
 
     def _signal(self, number: signal.Signals) -> None:
         assert self._process is not None

@@ -7,8 +7,10 @@ it. Its process holds a lock on it, so the file of a dead one counts for nothing
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
+import random
 import socket
 import time
 from datetime import UTC, datetime
@@ -18,6 +20,7 @@ from typing import BinaryIO
 import msgspec
 
 ENDPOINT_VARIABLE = "MYOGRAFT_ENDPOINT"
+OWN_PORTS = (20_000, 32_768)
 
 
 class Hub(msgspec.Struct, frozen=True, kw_only=True):
@@ -72,11 +75,22 @@ def address_file(run_dir: Path | str, process: str) -> Path:
     return Path(run_dir) / f"{process}.address"
 
 
+def free_port() -> int:
+    """A TCP port on the loopback that nobody listens on.
+
+    It lies below those that the kernel hands out by itself (from 32768 on Linux): of these one may
+    go to somebody else's connection before it is listened on.
+    """
+    while True:
+        port = random.SystemRandom().randrange(*OWN_PORTS)
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+
+
 def free_endpoint() -> str:
     """An endpoint on the loopback where nobody listens."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 def set_state_aside(robot: str) -> None:

@@ -45,7 +45,7 @@ from runtime.parking import Parking
 from runtime.settings import RobotSettings
 
 GROUP_STATE_S = 1.0
-PARK_PATIENCE_S = 10.0
+PARK_PATIENCE_S = 20.0  # of wall time: where robot time is slow, so is the arm
 TERM_PATIENCE_S = 3.0
 
 
@@ -97,6 +97,7 @@ class Group:
         self._changed = threading.Condition()
         self._running = False
         self._ending = False
+        self._restarting = threading.Lock()
         self._hurry = threading.Event()
         self._parking: Parking | None = None
         self._state_due_s = 0.0
@@ -195,7 +196,8 @@ class Group:
         if self._hurry.is_set():
             self._tell_person(f"{self.settings.name}: stopping the arm")
             self._bus.request(Estop(reason="interrupted twice"), timeout_s=2.0)
-        self._ending = True
+        with self._restarting:
+            self._ending = True  # from now on nobody is started whom nobody would end
         patience_s = 0.5 if self._hurry.is_set() else TERM_PATIENCE_S
         for child in reversed(self._children.values()):
             child.terminate(patience_s)
@@ -218,11 +220,14 @@ class Group:
             while not self._exits.empty():
                 self._bury(*self._exits.get())
                 changed = True
-            if not self._ending:
-                restarted = [child.restart_if_due() for child in self._children.values()]
-                changed = changed or any(restarted)
-            self._tell(changed)
+            self._tell(self._restart() or changed)
         self._tell(True)
+
+    def _restart(self) -> bool:
+        with self._restarting:
+            if self._ending:
+                return False
+            return any([child.restart_if_due() for child in self._children.values()])
 
     def _wait_s(self) -> float:
         now_s = time.monotonic()

@@ -48,11 +48,16 @@ def third_hangs(unit: Unit) -> list[Run]:
     return squares(unit)
 
 
+def kept(done: int) -> None:
+    """Say how many are on disk."""
+    Path(os.environ["MYOGRAFT_TEST_FOLDER"], f"kept-{done}").touch()
+
+
 def main(folder: Path) -> int:
     """A sweep that does not end by itself."""
     try:
         with Store(folder, {"made": "up"}) as store:
-            run_units(UNITS, third_hangs, store, jobs=2)
+            run_units(UNITS, third_hangs, store, jobs=2, narrate=lambda _, done, __: kept(done))
     except Stopped as stop:
         print(stop)
         return 130

@@ -10,9 +10,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from dashboard.viewer import free_port
 from runtime.bus import Bus
 from runtime.child import spawn
+from runtime.hubs import free_endpoint
 from runtime.manifest import chosen, processes_of
 from runtime.messages import Message
 from runtime.priority import step_back
@@ -33,11 +33,18 @@ class Viz:
         arguments = ["--robot", settings.file, *where, "--endpoint", endpoint]
         (spec,) = chosen(processes_of(settings), ("viz",))
         self.process = spawn(spec, arguments, folder / "viz.log")
-        deadline = time.monotonic() + 30.0
-        while "viz" not in bus.alive(0.2):
+        try:
+            self._await(bus)
+        except BaseException:
+            self.process.kill()
+            raise
+        step_back(self.process.pid, spec.nice)
+
+    def _await(self, bus: Bus) -> None:
+        deadline = time.monotonic() + 60.0
+        while "viz" not in bus.alive():
             assert self.process.poll() is None, "viz ended at once: see its log"
             assert time.monotonic() < deadline, "viz does not become ready"
-        step_back(self.process.pid, spec.nice)
 
     @property
     def url(self) -> str:
@@ -47,7 +54,7 @@ class Viz:
     def end(self) -> int:
         """Ask it to stop; its exit code."""
         self.process.terminate()
-        return self.process.wait(15.0)
+        return self.process.wait(60.0)
 
     def __enter__(self) -> Self:
         return self
@@ -111,14 +118,16 @@ class Robot:
 @contextmanager
 def hub(robot: str) -> Iterator[tuple[Bus, str]]:
     """A bus to be the first on, and its endpoint."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     with Bus(robot, "test", listen=endpoint) as bus:
         yield bus, endpoint
 
 
-def wait_until(done: Callable[[], bool], what: str, limit_s: float = 20.0) -> None:
+def wait_until(
+    done: Callable[[], bool], what: str, limit_s: float = 20.0, pause_s: float = 0.02
+) -> None:
     """Wait for a condition."""
     deadline = time.monotonic() + limit_s
     while not done():
         assert time.monotonic() < deadline, f"{what} did not happen within {limit_s:g} s"
-        time.sleep(0.02)
+        time.sleep(pause_s)

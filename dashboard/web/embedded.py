@@ -20,8 +20,8 @@ from urllib.parse import urlsplit
 
 import h11
 
-from dashboard.viewer import LOOPBACK, START_S, ViewerError, answers, free_port, viewer_binary
-from runtime.hubs import state_home
+from dashboard.viewer import LOOPBACK, START_S, ViewerError, answers, viewer_binary
+from runtime.hubs import free_port, state_home
 
 FILES = {
     "index.html": "text/html; charset=utf-8",

@@ -10,6 +10,7 @@ import signal
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,7 +29,7 @@ from runtime.runs import RunError, about_all, read_all, recordings
 from runtime.settings import RobotSettings, SettingsError, load_robot
 from runtime.settings_checks import NAME
 
-PICTURE_S = 20.0  # wall time that the picture may take to come up
+PICTURE_S = 60.0  # wall time that the picture may take to come up
 
 
 class Replay:
@@ -192,7 +193,8 @@ def _picture(
 
 def _came_up(bus: Bus, stop: threading.Event, gone: threading.Event) -> bool:
     """Whether viz is ready; False when it ended, took too long, or nobody wants it any more."""
-    for _ in range(round(PICTURE_S / 0.1)):
+    deadline_s = time.monotonic() + PICTURE_S
+    while time.monotonic() < deadline_s:
         if stop.is_set() or gone.is_set():
             return False
         for item in bus.wait(0.1):

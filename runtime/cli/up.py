@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import signal
 import sys
@@ -17,6 +18,8 @@ from runtime.hubs import Hub, HubError, find_hub, living_hubs, set_state_aside
 from runtime.manifest import can_serve_page, can_view
 from runtime.settings import SettingsError, load_robot
 from runtime.supervisor import Group
+
+PATIENCE_S = 30.0  # after which a person is told who is not ready yet
 
 
 class Up:
@@ -102,7 +105,8 @@ class Up:
 def _say(line: str) -> None:
     """Tell a person; who listens no more (`| head`, a closed terminal) does not end the robot."""
     try:
-        print(line, flush=True)
+        sys.stdout.write(f"{line}\n")  # at once: several robots speak, each from threads of its own
+        sys.stdout.flush()
     except OSError:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
@@ -143,18 +147,22 @@ def _attend(groups: list[Group]) -> int:
 
 
 def _tell_when_ready(groups: list[Group], told: threading.Event) -> None:
+    """Of each robot once it is so, however long that takes; of those that take long, for whom."""
     started_s = time.monotonic()
-    for group in groups:
-        while not (told.is_set() or (group.wait_ready(0.2) and group.time_told)):
-            told.wait(0.02)
-            if time.monotonic() > started_s + 30:
+    patience_s = PATIENCE_S
+    late = list(groups)
+    while late and not told.wait(0.02):
+        for group in list(late):
+            if group.wait_ready(0.2) and group.time_told:
+                took_s = time.monotonic() - started_s
+                _say(f"{group.settings.name}: ready after {took_s:.1f} s; Ctrl-C parks and stops")
+                late.remove(group)
+        if late and time.monotonic() - started_s > patience_s:
+            patience_s = math.inf
+            for group in late:
                 waiting = [row.process for row in group.rows if row.state != "ready"]
                 what = ", ".join(waiting) or "the world to tell the time"
                 _say(f"{group.settings.name}: still waiting for {what}")
-                return
-        if not told.is_set():
-            took_s = time.monotonic() - started_s
-            _say(f"{group.settings.name}: ready after {took_s:.1f} s; Ctrl-C parks and stops")
 
 
 class Down:

@@ -19,9 +19,10 @@ import psutil
 import pytest
 
 from dashboard.stream import Stream
-from dashboard.viewer import free_port, viewer_binary
+from dashboard.viewer import viewer_binary
 from dashboard.viz import canvas_of
 from runtime.bus import Bus
+from runtime.hubs import free_port
 from runtime.messages import ChainState
 from tests.bench.timing import tell, tell_p99
 from tests.many_muscles import STEP_NS, many_muscles, say

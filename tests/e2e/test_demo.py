@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from runtime.hubs import living_hubs
 from runtime.settings import load_robot
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
 
 SPEED = "3"
 E_THETA_RAD = 0.025  # before growing
@@ -28,7 +28,7 @@ def test_the_demo_shows_what_it_promises(tmp_path: Path) -> None:
         [sys.executable, "-m", "runtime.cli.main", "demo", "--speed", SPEED, "--json", str(out)],
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=560,
     )
     assert demo.returncode == 0, demo.stdout + demo.stderr
     print(demo.stdout)

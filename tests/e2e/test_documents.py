@@ -13,10 +13,10 @@ from runtime import messages as m
 from runtime.bus import Bus
 from runtime.cli.main import DONE, main
 from runtime.hubs import find_hub, living_hubs
-from tests.e2e.conftest import Command, Watch, elbow
+from tests.e2e.conftest import PATIENCE_S, Command, Watch, elbow
 from tests.shown import TUTORIAL, Shown, shown
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow]
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
 
 SPEED = "3"
 HASTE = """
@@ -27,6 +27,7 @@ n_check = 1
 joint_speed_deg_s = 120.0
 settle_s = 0.3
 """
+TRAINING_S = 180.0  # of wall time, in which it steps back behind all others
 FOLLOWS = {  # how a command begins -> events of which one says that it is over
     "plug": ("grow_done", "refit_done"),
     "unplug": ("lost",),
@@ -35,7 +36,6 @@ FOLLOWS = {  # how a command begins -> events of which one says that it is over
     "task": ("task_done",),
     "estop": ("stopped",),
 }
-PATIENCE_S = 40.0
 
 
 @contextmanager
@@ -77,7 +77,7 @@ def carry_out(command: Shown, watch: Watch) -> None:
     kinds = next((k for begin, k in FOLLOWS.items() if " ".join(words).startswith(begin)), ())
     if kinds:
         watch.wait_for(
-            m.Event, lambda x: x.kind in kinds, since=since, timeout_s=PATIENCE_S, what=str(command)
+            m.Event, lambda x: x.kind in kinds, since=since, timeout_s=TRAINING_S, what=str(command)
         )
     rest(watch, "stopped" if words[0] == "estop" else "hold")
 

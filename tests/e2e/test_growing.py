@@ -9,13 +9,13 @@ import pytest
 
 from runtime import messages as m
 from runtime.settings import load_robot
-from tests.e2e.conftest import Robot, running, waited_s
+from tests.e2e.conftest import Robot, running, waited_s, within
 
-pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.e2e, pytest.mark.slow, pytest.mark.timeout(600)]
 
 SPARE = "biceps_3"
 SPEED = 2.0
-GROWTH_S = 90.0
+GROWTH_S = 180.0
 TRAINS_AGAIN_S = 8.0
 STRAY_RAD = np.radians(5.0)
 
@@ -48,7 +48,10 @@ def test_growth_survives_the_death_of_executive_and_retrainer(robot: Robot) -> N
     robot.ask(m.Plug(muscle=SPARE))
 
     _, state = watch.wait_for(
-        m.ExecutiveState, lambda x: x.stage == "collect" and x.step >= 3, since=since, timeout_s=60
+        m.ExecutiveState,
+        lambda x: x.stage == "collect" and x.step >= 3,
+        since=since,
+        timeout_s=GROWTH_S,
     )
     killed = watch.mark()
     robot.kill("executive")
@@ -58,7 +61,9 @@ def test_growth_survives_the_death_of_executive_and_retrainer(robot: Robot) -> N
     assert again.step >= state.step, "motions were collected again"
 
     # at its first word: a second later it is done
-    watch.wait_for(m.TrainingProgress, lambda x: x.stage == "starting", since=killed, timeout_s=60)
+    watch.wait_for(
+        m.TrainingProgress, lambda x: x.stage == "starting", since=killed, timeout_s=GROWTH_S
+    )
     killed = watch.mark()
     killed_at = robot.kill("retrainer")
     watch.wait_event("process_died", since=killed)
@@ -69,7 +74,7 @@ def test_growth_survives_the_death_of_executive_and_retrainer(robot: Robot) -> N
         f"the retrainer trains again {took_s:.2f} s after it was killed, "
         f"of which {elsewhere_s:.2f} s were others'"
     )
-    assert took_s - elsewhere_s < TRAINS_AGAIN_S
+    assert within(took_s - elsewhere_s, TRAINS_AGAIN_S)
 
     watch.wait_event("grow_done", since=since, timeout_s=GROWTH_S)
     assert SPARE in watch.last(m.SchemaVersion).muscles

@@ -12,7 +12,7 @@ import pytest
 
 from runtime import messages as m
 from runtime.messages import Message
-from tests.e2e.conftest import Robot, Watch, elbow, running, waited_s
+from tests.e2e.conftest import PATIENCE_S, Robot, Watch, elbow, running, waited_s, within
 
 pytestmark = pytest.mark.e2e
 
@@ -21,13 +21,13 @@ NOTICED_LIMIT_S = 1.0  # of any one: a process that is to die needs the processo
 BACK_S = {"driver-arm": 1.0}  # wall time until a process's data are there again
 OTHERS_BACK_S = 3.0
 STRAY_DEG = 10.0
+STEPS_LEFT = 12  # of the sweep, when a process is killed: half a minute
 
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
     folder = tmp_path_factory.mktemp("killed")
     with running(elbow(folder, "killed", steps=24), folder) as robot:
-        robot.ask(m.Task(name="sweep"))
         yield robot
 
 
@@ -95,12 +95,22 @@ def strayed_deg(watch: Watch, since: int, until: int) -> float:
     return float(np.degrees(worst))
 
 
+def sweep(robot: Robot) -> m.ExecutiveState:
+    """A sweep that goes on for long enough; begun, and anew when little of it is left."""
+
+    def goes_on(state: m.ExecutiveState) -> bool:
+        return state.stage == "move" and state.steps - state.step >= STEPS_LEFT
+
+    if not goes_on(robot.watch.last(m.ExecutiveState)):
+        robot.ask(m.Task(name="sweep"))
+    return robot.watch.wait_for(m.ExecutiveState, goes_on, since=robot.watch.mark())[1]
+
+
 @pytest.mark.parametrize("process", list(DATA))
 def test_a_killed_process_is_noticed_and_back_soon(robot: Robot, process: str) -> None:
     watch, old_pid, data = robot.watch, robot.pid(process), DATA[process]
-    watch.wait_for(m.ExecutiveState, lambda x: x.stage == "move", since=watch.mark())
+    step = sweep(robot).step
     clock = watch.last(m.Clock)
-    step = watch.last(m.ExecutiveState, lambda x: bool(x.task)).step
     since = watch.mark()
     killed_at = robot.kill(process)
     died_at, _ = watch.wait_for(Message, death(process), since=since)
@@ -108,7 +118,7 @@ def test_a_killed_process_is_noticed_and_back_soon(robot: Robot, process: str) -
     after = watch.mark()
     back_at, _ = watch.wait_for(data.kind, lambda x: data.wanted(x, old_pid), since=after)
     until = watch.mark()
-    assert robot.group.wait_for(lambda group: group.ready, 10)
+    assert robot.group.wait_for(lambda group: group.ready, PATIENCE_S)
     elsewhere_s = waited_s(robot.pid(process))
     stray = strayed_deg(watch, since, until)
     print(
@@ -116,8 +126,8 @@ def test_a_killed_process_is_noticed_and_back_soon(robot: Robot, process: str) -
         f"back in {back_at - killed_at:4.2f} s, of which {elsewhere_s:4.2f} s were others', "
         f"arm within {stray:4.1f} deg"
     )
-    assert noticed_s[process] < NOTICED_LIMIT_S
-    assert back_at - killed_at - elsewhere_s < BACK_S.get(process, OTHERS_BACK_S)
+    assert within(noticed_s[process], NOTICED_LIMIT_S)
+    assert within(back_at - killed_at - elsewhere_s, BACK_S.get(process, OTHERS_BACK_S))
     assert stray < STRAY_DEG
     if process == "world":
         _, first = watch.wait_for(m.Clock, lambda x: x.incarnation > 1, since=since)
@@ -134,12 +144,12 @@ def test_a_killed_process_is_noticed_and_back_soon(robot: Robot, process: str) -
 def test_deaths_are_noticed_within_50_ms(robot: Robot) -> None:
     """The median: on a busy machine some wait for the processor to die on."""
     assert len(noticed_s) == len(DATA)
-    assert statistics.median(noticed_s.values()) < NOTICED_S
+    assert within(statistics.median(noticed_s.values()), NOTICED_S)
 
 
 def test_the_sweep_finishes_all_the_same(robot: Robot) -> None:
     watch = robot.watch
     done = [event for event in watch.events() if event.kind == "task_done"]
     assert not done, "the sweep was over too early to show anything"
-    watch.wait_for(m.Event, lambda x: x.kind == "task_done", since=0, timeout_s=90)
+    watch.wait_for(m.Event, lambda x: x.kind == "task_done", since=0, timeout_s=3 * PATIENCE_S)
     assert not [x.text for x in watch.events() if x.kind in ("tick_failed", "receive_failed")]

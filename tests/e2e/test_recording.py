@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import time
 import warnings
@@ -20,7 +21,7 @@ from runtime.cli.main import DONE, REFUSED, main
 from runtime.hubs import find_hub
 from runtime.runs import read_all, recordings
 from runtime.settings import RobotSettings
-from tests.e2e.conftest import Command, Watch, elbow
+from tests.e2e.conftest import Command, Watch, elbow, within
 
 pytestmark = pytest.mark.e2e
 
@@ -28,7 +29,9 @@ NAME = "kept"
 RUN_S = 5.0
 LOST_S = 1.0  # of robot time, which runs no faster than wall time here
 STRONGEST_N = 150.0
-AT_ONCE_S = 5.0  # of wall time, from the second Ctrl-C until all is over
+# Of wall time, from the second Ctrl-C until all is over: half a second for each of eight processes
+# that is killed because it does not go, and for the supervisor itself. Parking has twenty.
+AT_ONCE_S = 7.0
 
 
 class Killed(NamedTuple):
@@ -136,22 +139,25 @@ def test_a_run_that_is_over_is_read_without_a_robot(
 
 
 def test_it_plays_under_another_name_and_gives_no_orders(killed: Killed) -> None:
-    player = Command("replay", str(killed.folder), "--robot", "again", "--speed", "4", "--no-view")
+    words = ("--robot", "again", "--speed", "2", "--no-view", "--stay")
+    player = Command("replay", str(killed.folder), *words)
     player.wait_line("Ctrl-C ends it")
     with Bus("again", "test", endpoint=find_hub("again").endpoint) as bus, Watch(bus) as watch:
         bus.subscribe(m.ChainCommand, every=True)
         since = watch.mark()
-        began_s, first = watch.wait_for(m.Clock, since=since)
+        _, first = watch.wait_for(m.Clock, since=since)
+        player.wait_line("stays")
         assert main(["replay", str(killed.folder), "--robot", "again"]) == REFUSED
-        ended_s, last = watch.wait_for(
+        _, last = watch.wait_for(
             m.Clock, lambda x: x.stamp_ns > (killed.last_s - 1.0) * 1e9, since=since
         )
-        assert player.over() == DONE
+        assert player.end() == DONE
         played = watch.of(m.WorldTruth, since)
-    assert last.speed == 4.0
-    speed = (last.stamp_ns - first.stamp_ns) * 1e-9 / (ended_s - began_s)
-    print(f"played {speed:.2f} times as fast as it was, {len(played)} truths")
-    assert speed < 5.0
+    assert last.speed == 2.0
+    said = re.search(r"(\S+) times as fast as it was", "".join(player.lines))
+    assert said is not None
+    print(f"played {said[0]}, {len(played)} truths")
+    assert float(said[1]) < 2.1, "on a busy machine it may be slower"
     assert len(played) > 0.9 * 200 * (last.stamp_ns - first.stamp_ns) * 1e-9
     assert not watch.of(m.ChainCommand)
 
@@ -205,5 +211,5 @@ def test_ctrl_c_twice_lets_the_wires_go_at_once(risen: tuple[Command, Watch]) ->
     assert f"{NAME}: stopping the arm\n" in command.lines
     assert f"{NAME}: stopped\n" in command.lines
     assert modes & {"stopping", "stopped"}, "the wires were not let go"
-    assert took_s < AT_ONCE_S
+    assert within(took_s, AT_ONCE_S)
     assert strongest_n < STRONGEST_N

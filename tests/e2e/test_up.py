@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from runtime import messages as m
 from runtime.bus import Bus
 from runtime.hubs import find_hub, living_hubs
 from runtime.messages import Message, Reply
-from tests.e2e.conftest import Command, Watch, elbow
+from tests.e2e.conftest import PATIENCE_S, Command, Watch, elbow
 
 pytestmark = pytest.mark.e2e
 
@@ -106,17 +108,29 @@ def test_neither_hears_the_other(fleet: Fleet) -> None:
         watch.wait_for(m.WorldTruth, since=0, what="castor over pollux's hub: they share a network")
 
 
+def state_of(address: str) -> Any:
+    """What a script is told at a page's address."""
+    with urllib.request.urlopen(f"{address}/api/state", timeout=PATIENCE_S) as answer:
+        return json.load(answer)
+
+
+def known_to(address: str) -> dict[str, str]:
+    """The robots that a page knows, and where theirs are."""
+    robots = state_of(address)["robots"]["robots"]
+    return {row["name"]: row["address"] for row in robots}
+
+
 def test_each_has_a_page_that_knows_the_other(fleet: Fleet) -> None:
     lines = [line.split() for line in fleet.up.lines if "web ready" in line]
     pages = {line[0].rstrip(":"): line[-1] for line in lines}
     assert set(pages) == set(NAMES)
     assert len(set(pages.values())) == 2
     for name, address in pages.items():
-        with urllib.request.urlopen(f"{address}/api/state") as answer:
-            state = json.load(answer)
-        assert state["robot"]["name"] == name
-        known = {row["name"]: row["address"] for row in state["robots"]["robots"]}
-        assert known == pages
+        assert state_of(address)["robot"]["name"] == name
+        deadline_s = time.monotonic() + PATIENCE_S
+        while known_to(address) != pages:  # it looks for others every other second
+            assert time.monotonic() < deadline_s, known_to(address)
+            time.sleep(0.1)
 
 
 def test_both_sweep_at_once(fleet: Fleet) -> None:

@@ -9,8 +9,9 @@ import pytest
 
 pytest.importorskip("rerun", reason="needs the extra myograft[view]")
 
-from dashboard.viewer import LOOPBACK, free_port
+from dashboard.viewer import LOOPBACK
 from dashboard.web import embedded
+from runtime.hubs import free_port
 from tests.unit.page_server import PATIENCE_S, served
 
 ANYTHING = b"\0\0\0\0\0"  # one gRPC frame with an empty message

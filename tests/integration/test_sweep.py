@@ -18,7 +18,7 @@ from experiments.sweep import run_units
 from tests.sweep_work import UNITS, die, squares
 
 
-def wait_until(true: Callable[[], object], within_s: float = 30.0) -> None:
+def wait_until(true: Callable[[], object], within_s: float = 60.0) -> None:
     deadline = time.monotonic() + within_s
     while not true():
         assert time.monotonic() < deadline, "it did not come to pass"
@@ -43,12 +43,12 @@ def test_a_sweep_that_is_ended_leaves_nobody_and_goes_on(
         start_new_session=True,
     )
     try:
-        wait_until(lambda: len(workers(tmp_path)) == 2)
+        wait_until(lambda: len(workers(tmp_path)) == 2 and (tmp_path / "kept-2").exists())
         if how is signal.SIGINT:
             os.killpg(sweep.pid, how)  # as a terminal does
         else:
             sweep.kill()
-        out, err = sweep.communicate(timeout=30.0)
+        out, err = sweep.communicate(timeout=60.0)
         wait_until(lambda: not any(map(psutil.pid_exists, workers(tmp_path))))
     finally:
         sweep.kill()

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,9 @@ from runtime import messages as m
 from runtime.wire import packet as wire
 from runtime.wire.link import SerialLink, parse_link
 from runtime.wire.registers import BY_NAME
+from tests.started import started
+
+PATIENCE_S = 30.0
 
 
 def ask(link: SerialLink, packet: wire.InstructionPacket, sequence: int) -> bytes:
@@ -26,31 +28,27 @@ def test_a_chain_is_opened_like_a_serial_port_and_its_robot_lives(tmp_path: Path
     folder = tmp_path / "chains"
     folder.mkdir()
     (folder / "arm").symlink_to("/dev/pts/of_a_run_that_was_killed")
-    with subprocess.Popen(
-        [sys.executable, "-m", "hardware_sim.terminals", "elbow", "--folder", str(folder)],
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as robot:
+    with started("-m", "hardware_sim.terminals", "elbow", "--folder", str(folder)) as robot:
         assert robot.stdout is not None
         url = robot.stdout.readline().split('"')[1]
         assert url == f"serial://{folder}/arm"
         port = parse_link(url)
         assert port is not None
-        link = SerialLink(port, timeout_s=5.0)
+        link = SerialLink(port, timeout_s=PATIENCE_S)
         assert ask(link, wire.ping(2), 1)[:2] == b"1M"
         temperature = BY_NAME["motor_temperature"]
         read = wire.read(2, temperature.address, temperature.size)
         assert temperature.decode(ask(link, read, 2)) > 0.0
         angle = BY_NAME["present_angle"]
         first = ask(link, wire.read(100, angle.address, angle.size), 3)
-        for sequence in range(4, 200):  # a sensor that lives is noisy
-            if ask(link, wire.read(100, angle.address, angle.size), sequence) != first:
-                break
-        else:
-            raise AssertionError("robot time stands still")
+        sequence, deadline_s = 4, time.monotonic() + PATIENCE_S
+        # a sensor that lives is noisy
+        while ask(link, wire.read(100, angle.address, angle.size), sequence) == first:
+            assert time.monotonic() < deadline_s, "robot time stands still"
+            sequence += 1
         link.close()
         robot.send_signal(signal.SIGINT)
-        assert robot.wait(10) == 0
+        assert robot.wait(PATIENCE_S) == 0
     assert list(folder.iterdir()) == []
 
 

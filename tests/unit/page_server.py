@@ -20,7 +20,7 @@ from dashboard.web.process import make_server
 from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings, Web, load_robot
 
-PATIENCE_S = 5.0
+PATIENCE_S = 30.0
 
 
 class Answer(NamedTuple):

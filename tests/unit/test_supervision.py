@@ -14,6 +14,7 @@ import pytest
 
 from runtime.backoff import Backoff, BackoffPolicy, Restart
 from runtime.child import describe_exit
+from runtime.cli import up
 from runtime.hubs import ENDPOINT_VARIABLE, Claim, Hub, HubError, find_hub, living_hubs
 from runtime.mailbox import Mailbox
 from runtime.manifest import processes_of
@@ -22,6 +23,7 @@ from runtime.parking import Parking
 from runtime.priority import step_back
 from runtime.settings import load_robot
 from runtime.store import FileStore
+from runtime.supervisor import Group
 
 
 def test_the_wait_doubles_up_to_the_longest() -> None:
@@ -40,13 +42,33 @@ def test_who_only_looks_or_learns_steps_back() -> None:
             assert os.getpriority(os.PRIO_PROCESS, child.pid) == 7
             assert os.sched_getscheduler(child.pid) == os.SCHED_BATCH
             session = Path(f"/proc/{child.pid}/autogroup")
-            deadline = time.monotonic() + 5.0
+            deadline = time.monotonic() + 30.0
             while session.exists() and "nice 7" not in session.read_text():
                 assert time.monotonic() < deadline
                 time.sleep(0.01)
         finally:
             child.kill()
     step_back(child.pid, 7)  # gone is no mistake
+
+
+def test_up_says_ready_however_late_and_once_for_whom_it_waits(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(up, "PATIENCE_S", 0.0)
+    settled = {"left": iter([False, False, True]), "right": iter([True])}
+
+    class Late(Group):
+        def wait_ready(self, timeout_s: float = 30.0) -> bool:
+            return next(settled[self.settings.name])
+
+    groups = [Late(load_robot("elbow", name), processes=()) for name in settled]
+    up._tell_when_ready(list(groups), threading.Event())
+    told = [line.partition(" after")[0] for line in capsys.readouterr().out.splitlines()]
+    assert told == [
+        "right: ready",
+        "left: still waiting for the world to tell the time",
+        "left: ready",
+    ]
 
 
 def test_the_budget_ends_and_the_window_moves_on() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 import pytest
@@ -233,17 +232,14 @@ def test_a_clock_that_is_set_back_does_not_stop_the_picture(
     assert len(canvas.frames) == frames + 1
 
 
-def test_a_whole_run_costs_little(settings: RobotSettings, canvas: PaperCanvas) -> None:
+def test_a_whole_run_is_drawn_to_its_end(settings: RobotSettings, canvas: PaperCanvas) -> None:
     stream = Stream(settings, canvas, StickBody())
     messages = [(t, message) for t, message in run(PLUG_S + 3.0) if type(message) in stream.inputs]
-    begin = time.process_time()
     before = 0
     for now_ns, message in messages:
         stream.receive(message, now_ns)
         if now_ns != before:
             list(stream.tick(now_ns))
             before = now_ns
-    spent_s = time.process_time() - begin
     assert canvas.states["/lane/executive"][-1][1] == "collect"
     assert canvas.states["/lane/module/biceps_3"][-1][1] == "up"
-    assert spent_s < 0.05 * (PLUG_S + 3.0), "a fifth of it is usual"

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import socket
 import ssl
 import subprocess
 import threading
+import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -208,6 +210,7 @@ def test_a_stop_waits_for_nobody(page: Page) -> None:
     for thread in waiting:
         thread.start()
     try:
+        come_to(lambda: len(page.asked), min(32, (os.cpu_count() or 1) + 4))  # as asyncio has it
         assert page.post("/api/request/estop", "{}").json["text"] == "stopping"
         assert not release.is_set()
     finally:
@@ -367,12 +370,10 @@ class Ear:
 
 
 def come_to(look: Callable[[], int], count: int) -> None:
-    pause = threading.Event()
-    for _ in range(500):
-        if look() == count:
-            return
-        pause.wait(0.01)
-    raise AssertionError(f"there are {look()}, not {count}")
+    deadline_s = time.monotonic() + PATIENCE_S
+    while look() != count:
+        assert time.monotonic() < deadline_s, f"there are {look()}, not {count}"
+        time.sleep(0.01)
 
 
 def listeners(page: Page, count: int) -> None:
@@ -459,6 +460,7 @@ class Viz(BaseHTTPRequestHandler):
 
 def test_a_viewers_call_is_handed_on_without_our_token(page: Page) -> None:
     with HTTPServer(("127.0.0.1", 0), Viz) as viz:
+        viz.timeout = PATIENCE_S
         threading.Thread(target=viz.handle_request).start()
         page.viewer_url = f"rerun+http://127.0.0.1:{viz.server_port}/proxy"
         answer = page.post(
