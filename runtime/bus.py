@@ -100,9 +100,7 @@ class Bus:
         settings = session_settings(endpoint, listen, also)
         if most_hz:
             settings |= thinning(robot, most_hz, chains)
-        self._config = zenoh.Config()
-        for key, value in settings.items():
-            self._config.insert_json5(key, json.dumps(value))
+        self._config = _config(settings)
         self._where = endpoint or listen
         self._box: Mailbox[_Arrival | Presence] = Mailbox()
         self._polled: list[_Polled] = []
@@ -272,6 +270,17 @@ class Bus:
         news, self._odd_news = self._odd_news, []
         return news
 
+    def call_together(self) -> None:
+        """Have the peers of this hub look for each other again (see `hearing.py`).
+
+        They do when one comes; so one comes, and goes: some milliseconds.
+        """
+        try:
+            with zenoh.open(_config(session_settings(self._where, LOOPBACK, ()))):
+                pass
+        except zenoh.ZError:
+            log.exception("could not call the peers together at %s", self._where)
+
     def alive(self, timeout_s: float = 1.0) -> list[str]:
         """The processes whose tokens stand now, sorted."""
         pattern = f"{self.robot}/{TOKEN_KEY.format(process='*')}"
@@ -390,6 +399,13 @@ def _is_key(key: str) -> bool:
         return "*" not in str(zenoh.KeyExpr(key))
     except zenoh.ZError:
         return False
+
+
+def _config(settings: dict[str, Any]) -> zenoh.Config:
+    config = zenoh.Config()
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
 
 
 def _last(key: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
+from collections.abc import Set
 
 import psutil
 
@@ -110,7 +111,12 @@ class Member:
         """Call once a tick: tells health once a wall second, and what odd messages were met."""
         for text in self.bus.take_oddities():
             self.report("message_dropped", f"{self.process} dropped a message: {text}")
-        self._pulse.beat(now_ns)
+        self._pulse.beat(now_ns, self.alive)
+
+    @property
+    def alive(self) -> frozenset[str]:
+        """The robot's processes whose liveliness tokens this one sees."""
+        return frozenset(self._alive)
 
     def stop(self) -> None:
         """Ask the loop to end. Safe in a signal handler."""
@@ -150,7 +156,7 @@ class _Pulse:
         self._since_ns: int | None = None
         self._received = bus.received.copy()
 
-    def beat(self, now_ns: int) -> None:
+    def beat(self, now_ns: int, alive: Set[str]) -> None:
         self._ticks += 1
         if self._since_ns is None:
             self._since_ns = now_ns
@@ -170,6 +176,7 @@ class _Pulse:
                 memory_mb=self._self.memory_info().rss / 1e6,
                 dropped=self._bus.dropped + self._bus.overflown,
                 rates_hz={} if stood else {kind: n / robot_s for kind, n in fresh.items()},
+                hears=tuple(sorted(alive)),
             )
         )
         self._due = wall + HEALTH_S

@@ -54,6 +54,7 @@ class Health(Message, frozen=True, kw_only=True):
     memory_mb: float  # resident
     dropped: int  # messages that were malformed, foreign, newer, stale or too many, since start
     rates_hz: dict[str, float] = {}  # message type -> received per robot second
+    hears: tuple[str, ...] = ()  # the robot's processes whose liveliness tokens it sees, sorted
 
 
 class ProcessRow(msgspec.Struct, frozen=True, kw_only=True):

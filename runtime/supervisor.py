@@ -18,6 +18,7 @@ from pathlib import Path
 from runtime.backoff import BackoffPolicy
 from runtime.bus import Bus
 from runtime.child import Child
+from runtime.hearing import Hearing
 from runtime.hubs import (
     Claim,
     Hub,
@@ -35,6 +36,7 @@ from runtime.messages import (
     Event,
     ExecutiveState,
     GroupState,
+    Health,
     Message,
     Presence,
     ProcessRow,
@@ -99,6 +101,7 @@ class Group:
         self._ending = False
         self._restarting = threading.Lock()
         self._hurry = threading.Event()
+        self._hearing = Hearing()
         self._parking: Parking | None = None
         self._state_due_s = 0.0
 
@@ -132,6 +135,7 @@ class Group:
         self._bus.__enter__()
         self._member = Member(self._bus, follow_world=simulated(self.settings))
         self._member.subscribe(Presence, ExecutiveState)
+        self._member.subscribe(Health, wake=False)
         self._member.ready()
         for spec in self._specs:
             self._children[spec.process] = Child(
@@ -215,6 +219,8 @@ class Group:
             for item in self._member.wait(self._wait_s()):
                 if isinstance(item, Presence):
                     changed = self._came_or_went(item) or changed
+                elif isinstance(item, Health):
+                    self._mend_links(item)
                 elif isinstance(item, ExecutiveState) and self._parking is not None:
                     self._parking.see(item, time.monotonic())
             while not self._exits.empty():
@@ -258,6 +264,17 @@ class Group:
         self._tell_event("process_died", level, child, text)
         if child.state == "failed":
             self._tell_event("process_failed", "error", child, f"{child.spec.process} is given up")
+
+    def _mend_links(self, health: Health) -> None:
+        ready = {name for name, child in self._children.items() if child.state == "ready"}
+        if health.process not in ready:
+            return
+        lost, news = self._hearing.lost(health, ready & self._member.alive)
+        if lost:
+            self._bus.call_together()
+        for other in news:
+            text = f"{health.process} no longer heard {other}: they were called together again"
+            self._tell_event("link_lost", "warning", self._children[health.process], text)
 
     def _tell_event(self, kind: str, level: str, child: Child, text: str) -> None:
         self._member.publish(

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import socket
 from collections.abc import Iterator
+
+import psutil
 
 from runtime.messages import Event, ExecutiveState, Message, Reach, Reply, Task, TrainingProgress
 from runtime.process import Launch
@@ -31,13 +35,14 @@ class Counter:
 
 
 class Echo:
-    """Answers `Reach`, says what it received, and stumbles over what it is told to."""
+    """Answers `Reach`, says what it received; stumbles, breaks or loses its links when told to."""
 
     inputs: tuple[type[Message], ...] = (TrainingProgress,)
     requests: tuple[type[Message], ...] = (Reach,)
     period_ns = 50_000_000
 
-    def __init__(self) -> None:
+    def __init__(self, hub: str) -> None:
+        self.hub = hub
         self.heard = 0
         self.broken = False
 
@@ -50,12 +55,25 @@ class Echo:
     def answer(self, request: Message, now_ns: int) -> Reply:
         assert isinstance(request, Reach)
         self.broken = "break" in request.angle_rad
+        if "sever" in request.angle_rad:
+            _shut_links_but(int(self.hub.rpartition(":")[2]))
         return Reply(ok=True, text=" ".join(request.angle_rad), data={"heard": str(self.heard)})
 
     def tick(self, now_ns: int) -> Iterator[Message]:
         if self.broken:
             raise ValueError("broken")
         yield from ()
+
+
+def _shut_links_but(port: int) -> None:
+    """End this process's connections to all peers but the one at that port."""
+    for link in psutil.Process().net_connections("tcp"):
+        if link.status == psutil.CONN_ESTABLISHED and port not in (
+            link.laddr.port,
+            link.raddr.port,
+        ):
+            with socket.socket(fileno=os.dup(link.fd)) as twin:
+                twin.shutdown(socket.SHUT_RDWR)
 
 
 class Parker:
@@ -92,7 +110,7 @@ def counter(launch: Launch) -> None:
 
 
 def echo(launch: Launch) -> None:
-    launch.run(Echo())
+    launch.run(Echo(launch.endpoint))
 
 
 def parker(launch: Launch) -> None:

@@ -178,6 +178,22 @@ def test_odd_messages_end_nothing_and_are_told_once() -> None:
         assert group.rows[0].restarts == 0
 
 
+def test_two_processes_that_lost_each_other_find_each_other_again() -> None:
+    def heard(**angle_rad: float) -> int:
+        return int(group.request(Reach(angle_rad=angle_rad or {"elbow": 0.0}))[0].data["heard"])
+
+    with running("severed", COUNTER, ECHO) as group, listening(group, Event) as ear:
+        assert heard(sever=1.0) >= 0
+        event = ear.wait_for(happened("link_lost"))
+        assert isinstance(event, Event)
+        assert "counter" in event.text and "echo" in event.text
+        before = heard()
+        deadline = time.monotonic() + PATIENCE_S
+        while heard() <= before + 10:
+            assert time.monotonic() < deadline
+        assert [row.restarts for row in group.rows] == [0, 0]
+
+
 def test_two_robots_share_a_network_and_hear_only_themselves() -> None:
     with running("left", COUNTER) as left, running("right", ECHO) as right:
         assert [hub.robot for hub in living_hubs()] == ["left", "right"]
