@@ -40,7 +40,7 @@ class Status:
 
 def _look(client: Client, args: argparse.Namespace) -> int:
     picture = Picture(client.robot)
-    client.bus.subscribe(*Picture.inputs)
+    client.bus.subscribe(*Picture.inputs, poll=args.watch)  # who looks on is woken by nobody
     client.gather(picture.take, LISTEN_S)
     if args.watch and not args.json and sys.stdout.isatty() and find_spec("rich"):
         from runtime.cli.live_status import watch
