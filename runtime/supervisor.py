@@ -102,6 +102,7 @@ class Group:
         self._restarting = threading.Lock()
         self._hurry = threading.Event()
         self._hearing = Hearing()
+        self._stopped = False
         self._parking: Parking | None = None
         self._state_due_s = 0.0
 
@@ -221,8 +222,10 @@ class Group:
                     changed = self._came_or_went(item) or changed
                 elif isinstance(item, Health):
                     self._mend_links(item)
-                elif isinstance(item, ExecutiveState) and self._parking is not None:
-                    self._parking.see(item, time.monotonic())
+                elif isinstance(item, ExecutiveState):
+                    self._watch_stop(item)
+                    if self._parking is not None:
+                        self._parking.see(item, time.monotonic())
             while not self._exits.empty():
                 self._bury(*self._exits.get())
                 changed = True
@@ -264,6 +267,13 @@ class Group:
         self._tell_event("process_died", level, child, text)
         if child.state == "failed":
             self._tell_event("process_failed", "error", child, f"{child.spec.process} is given up")
+
+    def _watch_stop(self, state: ExecutiveState) -> None:
+        stopped = state.stage == "stopped"
+        if stopped and not self._stopped:
+            name = self.settings.name
+            self._tell_person(f"{name}: stopped; `myograft reset` lets it hold where it is")
+        self._stopped = stopped
 
     def _mend_links(self, health: Health) -> None:
         ready = {name for name, child in self._children.items() if child.state == "ready"}

@@ -24,6 +24,7 @@ PEAK_WEIGHT = 1e3  # of the greatest tension squared, against 1 of each
 PEAK_FIRMNESS = 100.0  # torque weighs that much more there: no peak is bought down with it
 PEAK_MARGIN = 1.01  # that much above the least peak the norm decides
 CONVERGED_N = 0.01
+HELD_N = 3.0
 ROUNDS = 50
 
 
@@ -36,6 +37,16 @@ class Plan:
     jacobian: Array  # (M, N) [m/rad]: G at the plan
     residual_torque_nm: Array  # (N,): tau_required + G^T f; not zero when the limits forbid it
     converged: bool  # the last round moved no tension by 0.01 N
+
+    @property
+    def missing_nm(self) -> Array:
+        """(N,) torque that no tensions within the limits give; 0 where the posture is held.
+
+        What the muscle with the longest lever gives with `HELD_N` is not counted: the program
+        gives a little torque away for smaller tensions, and load cells tell no less.
+        """
+        missing = np.abs(self.residual_torque_nm)
+        return np.where(missing > HELD_N * np.abs(self.jacobian).max(axis=0), missing, 0.0)
 
 
 def plan(

@@ -198,8 +198,7 @@ class Arm:
         felt = self.felt()
         theta, floor = self.path.now()
         usable = self._usable(felt)
-        most_n = self.settings.control.tension_ceiling_n
-        ceiling = np.array([most_n if name in usable else 0.0 for name in self.schema.muscles])
+        ceiling = self._ceiling(usable)
         self.guests.feel(self.schema, self.angle_rad, felt, dt_s)
         self.plan = self.planned(theta, np.minimum(floor, ceiling), ceiling)
         self._feel_errors(felt, dt_s)
@@ -216,6 +215,16 @@ class Arm:
         start = None if self.plan is None else self.plan.tension_n
         sharing = self.settings.control.sharing
         return plan(self.schema, theta, torque, floor_n, ceiling_n, start, sharing)
+
+    def missing_nm(self, theta: Array) -> Array:
+        """Torque (N,) that the muscles cannot give to hold a posture (N,); 0: it can be held."""
+        if self.schema is None:
+            return np.zeros(len(theta))
+        ceiling = self._ceiling(set(self.schema.muscles) - self.excluded)
+        torque = self.skeleton.gravity_torque_nm(theta) - self.guests.torque_nm
+        sharing = self.settings.control.sharing
+        floor = np.minimum(self._floor(), ceiling)
+        return plan(self.schema, theta, torque, floor, ceiling, sharing=sharing).missing_nm
 
     def _feel_errors(self, felt: dict[str, tuple[float, float]], dt_s: float) -> None:
         """What the model's lengths are off by where the arm is now.
@@ -305,6 +314,11 @@ class Arm:
     def _usable(self, felt: dict[str, tuple[float, float]]) -> set[str]:
         assert self.schema is not None
         return (set(self.schema.muscles) & set(felt)) - self.excluded
+
+    def _ceiling(self, usable: set[str]) -> Array:
+        assert self.schema is not None
+        most_n = self.settings.control.tension_ceiling_n
+        return np.array([most_n if name in usable else 0.0 for name in self.schema.muscles])
 
     def _floor(self) -> Array:
         assert self.schema is not None

@@ -16,6 +16,7 @@ from runtime import messages as m
 from runtime.logic import Store
 from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings
+from services.body_schema.network import Array
 from services.logic.arm import AUTHOR, NO_SCHEMA, Arm
 from services.logic.body import Body
 from services.logic.hands import Hands
@@ -23,6 +24,7 @@ from services.logic.memory import Notebook
 
 MEASURE_S = 0.2  # the arm is called settled for this long at each target
 STATE_EVERY = 2  # ticks
+UNHELD_S = 1.0  # for so long no tensions hold the arm, then it is told
 MAX_STEP_S = 0.02  # of movement in one tick, however long it was
 RELEARN = f"method is one of {', '.join(m.METHODS)}, and n_new from 1 to 100"
 GROWING = Reply(ok=False, text="the body is growing; wait, or 'myograft task cancel'")
@@ -62,6 +64,7 @@ class Executive:
         self._ticks = 0
         self._was_silent = True
         self._under_way = False  # towards the present step's target
+        self._unheld_s = 0.0
 
     # ── in ────────────────────────────────────────────────────────────────────────────────────
 
@@ -117,6 +120,7 @@ class Executive:
             yield from self.hands.tick(now_ns, dt_s)
             self.body.watch(dt_s)
             self.arm.step(dt_s)
+            self._watch_hold(dt_s)
             stage = yield from self._act(now_ns, dt_s)
             yield from self.arm.commands(now_ns)
         self._was_silent = bool(silent)
@@ -183,6 +187,25 @@ class Executive:
         self._notebook.save()
         return False
 
+    def _watch_hold(self, dt_s: float) -> None:
+        """Tell when the muscles that are there cannot hold the arm."""
+        assert self.arm.plan is not None
+        before_s, missing_nm = self._unheld_s, self.arm.plan.missing_nm
+        self._unheld_s = before_s + dt_s if missing_nm.any() else 0.0
+        if before_s < UNHELD_S <= self._unheld_s:
+            self._event("error", "not_held", f"the arm sinks: {self._unheld(missing_nm)}")
+
+    def _unheld(self, missing_nm: Array) -> str:
+        """Words for torque (N,) that is missing, or "" if none is."""
+        if not missing_nm.any():
+            return ""
+        joint = int(np.argmax(missing_nm))
+        most_n = self.settings.control.tension_ceiling_n
+        return (
+            f"no tensions up to {most_n:g} N hold that posture, "
+            f"{missing_nm[joint]:.2g} Nm are missing at joint '{self.settings.joints[joint]}'"
+        )
+
     # ── requests ──────────────────────────────────────────────────────────────────────────────
 
     def _start_task(self, name: str) -> Reply:
@@ -193,6 +216,11 @@ class Executive:
             return GROWING
         if name == "park":
             self._cancel("park")
+        else:
+            for target in self._tasks[name]:
+                if unheld := self._unheld(self.arm.missing_nm(target)):
+                    degrees = ", ".join(f"{x:.0f}" for x in np.degrees(target))
+                    return Reply(ok=False, text=f"{unheld} (the target at {degrees} deg)")
         self._memory.task, self._memory.step = name, 0
         self._memory.goal_rad = tuple(self._tasks[name][0].tolist())
         self._under_way = False
@@ -215,6 +243,8 @@ class Executive:
                 limits = f"{np.degrees(low):.0f} .. {np.degrees(high):.0f} deg"
                 return Reply(ok=False, text=f"joint '{name}' reaches {limits}")
             goal[index] = float(angle)
+        if unheld := self._unheld(self.arm.missing_nm(np.array(goal))):
+            return Reply(ok=False, text=unheld)
         self._memory.task, self._memory.step = "", 0
         self._memory.goal_rad = tuple(goal)
         self._under_way = False

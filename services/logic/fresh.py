@@ -87,7 +87,7 @@ class FreshWatch:
             yield from self._give_id(module_id, serial)
         finally:
             self._desk.admitting = 0
-        module = self._desk.roster.enter(name, kind, module_id, serial)
+        module = self._desk.roster.enter(name, kind, module_id, serial, at_tail=True)
         self._desk.event(
             "info",
             "module_found",

@@ -133,7 +133,7 @@ class MuscleDriver:
         self._follow(now_ns, muscles)
         for muscle in muscles:
             self._move(muscle, dt_s)
-        for words in self._stopping.look(muscles):
+        for words in self._stopping.look(muscles, now_ns):
             self._event("info", "stopped", words)
         data = b"".join([wire.encode(packet) for packet in self._write_all(muscles)])
         ids = tuple([module.id for module in self.roster.modules if module.polled])

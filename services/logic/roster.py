@@ -91,7 +91,10 @@ class _Memory(msgspec.Struct):
 
 @dataclass
 class Roster:
-    """All modules of one chain in the order in which they were met, and the memory of them."""
+    """All modules of one chain in the order in which they hang on it, and the memory of them.
+
+    Those that were there at the first start by their ids, then each as it came to the tail.
+    """
 
     settings: RobotSettings
     chain: str
@@ -168,8 +171,13 @@ class Roster:
                     return module_id
         return None
 
-    def enter(self, name: str, kind: Kind, module_id: int, serial: int) -> Module:
-        """Write a module that was met into the list; it takes the place of one gone before it."""
+    def enter(
+        self, name: str, kind: Kind, module_id: int, serial: int, *, at_tail: bool = False
+    ) -> Module:
+        """Write a module that was met into the list; it takes the place of one gone before it.
+
+        One that was known keeps its place on the chain, unless it was plugged in `at_tail`.
+        """
         module = self.by_serial(serial)
         namesake = self.by_name(name)
         if namesake is not None and namesake is not module:
@@ -178,8 +186,12 @@ class Roster:
             module = self._new(name, kind, module_id, serial, "joining")
             self.modules.append(module)
         module.name, module.id = name, module_id
-        others = {s: k for s, k in self._memory.known.items() if s != serial and k.name != name}
-        self._memory.known = {**others, serial: _Known(name, module_id, int(kind))}
+        known = {s: k for s, k in self._memory.known.items() if s == serial or k.name != name}
+        if at_tail:
+            known.pop(serial, None)
+        self._memory.known = {**known, serial: _Known(name, module_id, int(kind))}
+        place = {s: i for i, s in enumerate(self._memory.known)}
+        self.modules.sort(key=lambda other: place.get(other.serial, len(place)))
         self.save()
         return module
 

@@ -1,7 +1,7 @@
 """The latched stop of one chain: told to the modules until they say so, and kept over restarts.
 
 "stopped" is said only when the muscles' own readings say it: every one has latched the stop, and
-its wire is slack.
+its wire has been slack for a while. Wires that pay out are slack for a moment before the arm sinks.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from services.logic.reference import JOIN_BIAS_N
 from services.logic.roster import Module, Roster
 
 SLACK_N = 5.0
+SLACK_NS = 300_000_000  # for so long
 
 _STOP = BY_NAME["stop"]
 _LATCHED = int(Status.STOPPING | Status.STOPPED)
@@ -30,6 +31,7 @@ class Stopping:
 
     def __init__(self, roster: Roster) -> None:
         self._roster = roster
+        self._slack_since_ns: int | None = None
         self._slack = False
         self._told = False
 
@@ -44,6 +46,7 @@ class Stopping:
         """Latch. The packets go out with the next tick."""
         self._roster.stopped = True
         self._slack = self._told = False
+        self._slack_since_ns = None
         self._roster.clearing.clear()
         if not muscles:
             text = f"no muscle answers on chain {chain}; whoever comes back will be stopped"
@@ -66,7 +69,7 @@ class Stopping:
                 muscle.reference.slacken(muscle.reading)
         return Reply(ok=True, text=f"chain {chain} holds where it is", data={"chain": chain})
 
-    def look(self, muscles: list[Module]) -> Iterator[str]:
+    def look(self, muscles: list[Module], now_ns: int) -> Iterator[str]:
         """Compare with what the muscles say; gives the words when all have come to a stop."""
         for muscle in muscles:
             if not muscle.status & _LATCHED:
@@ -75,18 +78,22 @@ class Stopping:
                 self._roster.stopped = True  # latched by another hand, or before a restart
         if not self._roster.stopped:
             return
-        self._slack = bool(muscles) and all(
+        slack = bool(muscles) and all(
             muscle.status & Status.STOPPED
             or (muscle.status & Status.STOPPING and muscle.tension_n < SLACK_N)
             for muscle in muscles
         )
+        if not slack:
+            self._slack_since_ns = None
+        elif self._slack_since_ns is None:
+            self._slack_since_ns = now_ns
+        since_ns = self._slack_since_ns
+        self._slack = since_ns is not None and now_ns - since_ns >= SLACK_NS
         if self._slack and not self._told:
             self._told = True
-            tightest = max(muscle.tension_n for muscle in muscles)
-            yield (
-                f"chain {self._roster.chain} has stopped: {len(muscles)} wires are slack, "
-                f"the tightest has {tightest:.1f} N"
-            )
+            tightest_n = max(0.0, *(muscle.tension_n for muscle in muscles))
+            chain = self._roster.chain
+            yield f"chain {chain} has stopped: no wire has more than {tightest_n:.1f} N"
 
     def packets(self, muscles: list[Module]) -> list[InstructionPacket]:
         """What has still to be written: 1 where the stop is not latched, 0 after a reset."""

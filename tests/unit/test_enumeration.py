@@ -207,12 +207,9 @@ def test_a_restarted_driver_knows_the_muscle_that_was_added(bench: Bench) -> Non
     bench.run_until(lambda: joined(bench))
     bench.new_driver()
     bench.run(0.5)
-    assert [x.name for x in bench.bodies[-1].modules if x.state == "up"] == [
-        "m2",
-        "m3",
-        "m4",
-        "elbow",
-    ]
+    # as they hang on the chain, which grew at its tail; not by their ids
+    up = [x.name for x in bench.bodies[-1].modules if x.state == "up"]
+    assert up == ["m2", "m3", "elbow", "m4"]
     assert bench.felt("m4")[1] == pytest.approx(5.0, abs=0.5)
     assert joined(bench, 1)
 

@@ -152,6 +152,24 @@ def shared() -> Robot:
     return _shared[0]
 
 
+def test_what_no_tensions_hold_is_refused_and_told_once_when_it_is_so(robot: Robot) -> None:
+    assert robot.ask(m.Reach(angle_rad={"elbow": float(np.radians(60.0))})).ok
+    robot.settle()
+    assert "not_held" not in robot.kinds()
+    control = msgspec.structs.replace(SETTINGS.control, tension_ceiling_n=10.0)
+    weak = msgspec.structs.replace(SETTINGS, control=control)
+    robot.rig.executive.settings = robot.rig.executive.arm.settings = weak
+    for request in (m.Reach(angle_rad={"elbow": float(np.radians(90.0))}), m.Task(name="nod")):
+        reply = robot.ask(request)
+        assert not reply.ok
+        assert "no tensions up to 10 N hold that posture" in reply.text
+        assert "Nm are missing at joint 'elbow'" in reply.text
+    assert robot.ask(m.Task(name="park")).ok  # whatever is left, that is the best it can do
+    robot.ask(m.Task(name="hold"))
+    robot.rig.run(2.0)
+    assert robot.kinds().count("not_held") == 1
+
+
 def test_nothing_can_be_reached_before_the_arm_is_heard() -> None:
     executive = new_executive(MemoryStore())
     reply = executive.answer(m.Reach(angle_rad={"elbow": 0.5}), 0)
