@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import queue
 import signal
 import subprocess
 import threading
@@ -31,6 +32,7 @@ from runtime.messages import (
     Message,
     Reach,
     Reply,
+    Task,
     TrainingProgress,
 )
 from runtime.settings import ROBOTS, RobotSettings, load_robot
@@ -238,6 +240,15 @@ def test_parks_before_it_stops() -> None:
         ear.wait_for(happened("parked"))
         assert not any(psutil.pid_exists(pid) for pid in pids)
         assert [row.state for row in group.rows] == ["stopped", "stopped"]
+
+
+def test_a_stop_is_told_to_whoever_reads_what_the_group_says() -> None:
+    told: queue.SimpleQueue[str] = queue.SimpleQueue()
+    with running("halted", PARKER, say=told.put) as group:
+        assert group.request(Task(name="stopped"))[0].ok
+        while "stopped" not in (line := told.get(timeout=PATIENCE_S)):
+            pass
+        assert "myograft reset" in line
 
 
 def test_hurry_ends_a_long_parking(monkeypatch: pytest.MonkeyPatch) -> None:
