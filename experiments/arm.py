@@ -92,7 +92,9 @@ def score(rig: Rig) -> dict[str, float]:
     }
     if FOURTH in rig.executive.arm.felt():
         f3, f4 = (np.array([t.tension_n[name] for t in targets]) for name in (THIRD, FOURTH))
-        figures["e_f"] = float(np.mean(np.abs(f3 - f4) / (f3 + f4)))
+        pull = f3 + f4 > 0.0  # where neither does, there is nothing to share
+        if pull.any():
+            figures["e_f"] = float(np.mean(np.abs(f3 - f4)[pull] / (f3 + f4)[pull]))
         figures["f4_max_n"] = float(f4.max())
     return figures
 
