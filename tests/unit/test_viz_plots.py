@@ -241,5 +241,5 @@ def test_a_whole_run_is_drawn_to_its_end(settings: RobotSettings, canvas: PaperC
         if now_ns != before:
             list(stream.tick(now_ns))
             before = now_ns
-    assert canvas.states["/lane/executive"][-1][1] == "collect"
-    assert canvas.states["/lane/module/biceps_3"][-1][1] == "up"
+    assert canvas.states["/executive"][-1][1] == "collect"
+    assert canvas.states["/module/biceps_3"][-1][1] == "up"

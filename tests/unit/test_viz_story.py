@@ -25,12 +25,12 @@ def test_lanes_change_only_when_states_do(settings: RobotSettings, canvas: Paper
         )
     ):
         feed(stream, [message], now_s * SECOND)
-    assert canvas.states["/lane/module/triceps"] == [
+    assert canvas.states["/module/triceps"] == [
         (0.0, "joining"),
         (1.0, "up"),
         (4.0, "unplugged"),
     ]
-    assert canvas.states["/lane/process/world"] == [(5.0, "ready")]
+    assert canvas.states["/process/world"] == [(5.0, "ready")]
 
 
 def test_events_are_logged_with_their_own_time_and_level(

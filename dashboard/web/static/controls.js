@@ -9,6 +9,7 @@ const METHODS = {
   iii: "(iii) with fading replay",
   iv: "(iv) by wires",
 };
+let stopped = false;
 let joints = [];
 let spares = [];
 const touched = new Set();
@@ -52,10 +53,22 @@ export function showRobot(robot) {
       say(button, words);
       button.classList.toggle("main", name === "hold");
     });
+  showStopped(stopped);
   keyed(byId("joints"), joints, (joint) => joint.name, makeJoint, () => {});
   keyed(byId("method"), robot.methods, (name) => name,
     (name) => el("option", { value: name, selected: name === robot.growth.method }, METHODS[name] ?? name), () => {});
   if (!byId("n-new").value) byId("n-new").value = robot.growth.n_new;
+}
+
+/** After a stop nothing is moved before it is cleared; the robot would refuse, and why is said. */
+export function showStopped(now) {
+  stopped = now;
+  byId("stopped-note").hidden = !now;
+  for (const button of document.querySelectorAll("#tasks button, #reach button, #relearn button")) {
+    button.disabled = now;
+    if (now) button.setAttribute("aria-describedby", "stopped-note");
+    else button.removeAttribute("aria-describedby");
+  }
 }
 
 export function showSpares(chains) {
