@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.growing import LEFT_OUT, OUTSIDE
+from runtime.growing import LEFT_OUT, OUTSIDE, TAKEN_IN
 
 Rgb = tuple[int, int, int]
 
@@ -71,6 +71,7 @@ MODULE_COLORS: dict[str, Rgb] = {
     "joining": _AMBER,
     "up": _GREEN,
     OUTSIDE: _AMBER,
+    TAKEN_IN: _AMBER,
     LEFT_OUT: _AMBER,
     "lost": _GREY,
     "fault": _RED,

@@ -42,9 +42,9 @@ class Story:
 
     def receive(self, message: m.Message, now_ns: int) -> None:
         """Take in one message of `inputs`."""
-        leaving = self._growing.leaving
+        before = self._growing.words
         self._growing.take(message)
-        if self._growing.leaving != leaving or isinstance(message, m.SchemaVersion):
+        if self._growing.words != before or isinstance(message, m.SchemaVersion):
             for body in self._bodies.values():
                 self._take_body(body, now_ns)
         match message:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from runtime import messages as m
 
 OUTSIDE = "not in the schema"
+TAKEN_IN = "being taken in"
 LEFT_OUT = "being left out"
 
 _BEGUN = {"grow_started": "grow", "refit_started": "refit", "shrink_started": "shrink"}
@@ -63,7 +64,7 @@ class Growing:
         if module.kind != "muscle" or module.state != "up" or self._schema is None:
             return ""
         if module.name not in self._schema.muscles:
-            return OUTSIDE
+            return TAKEN_IN if module.name == self._muscle else OUTSIDE
         return LEFT_OUT if module.name == self.leaving else ""
 
     @property

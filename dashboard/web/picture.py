@@ -279,9 +279,9 @@ class Picture:
     # ── inside ────────────────────────────────────────────────────────────────────────────────
 
     def _take_growing(self, message: m.Message) -> None:
-        before = self._growing.words, self._growing.leaving
+        before = self._growing.words
         self._growing.take(message)
-        if before != (self._growing.words, self._growing.leaving):
+        if before != self._growing.words:
             self._changed |= {"executive", "chains"}
 
     def _take_event(self, event: m.Event) -> None:

@@ -256,4 +256,4 @@ def test_a_whole_run_is_drawn_to_its_end(settings: RobotSettings, canvas: PaperC
             list(stream.tick(now_ns))
             before = now_ns
     assert canvas.states["/executive"][-1][1] == "collect"
-    assert canvas.states["/module/biceps_3"][-1][1] == "not in the schema"
+    assert canvas.states["/module/biceps_3"][-1][1] == "being taken in"
