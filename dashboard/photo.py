@@ -31,7 +31,7 @@ def photograph(
         sources: files of one run, or a live address.
         picture: the PNG to write.
         at_s: robot time; None: the newest.
-        say: is told what is being done: it takes 10 to 30 s.
+        say: is told what is being done: it can take half a minute.
 
     Raises:
         ViewerError: no viewer, no Vulkan driver, or nothing came.
@@ -45,7 +45,7 @@ def photograph(
         os.environ.setdefault("RUST_LOG", "off")
         os.environ.setdefault("XDG_RUNTIME_DIR", scratch)
         try:
-            say("starting Rerun's viewer without a window; the picture takes 10 to 30 s")
+            say("starting Rerun's viewer without a window; the picture can take half a minute")
             with ViewerClient.spawn(
                 headless=True, port=free_port(), executable_path=binary, hide_welcome_screen=True
             ) as viewer:

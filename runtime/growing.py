@@ -63,9 +63,11 @@ class Growing:
         """What its own state does not say of a muscle that is up; "" if nothing."""
         if module.kind != "muscle" or module.state != "up" or self._schema is None:
             return ""
-        if module.name not in self._schema.muscles:
-            return TAKEN_IN if module.name == self._muscle else OUTSIDE
-        return LEFT_OUT if module.name == self.leaving else ""
+        if module.name == self.leaving:
+            return LEFT_OUT
+        if module.name in self._schema.muscles:
+            return ""
+        return TAKEN_IN if module.name == self._muscle else OUTSIDE
 
     @property
     def _kind(self) -> str:

@@ -85,6 +85,9 @@ def test_only_muscles_that_are_up_have_a_standing() -> None:
     assert standing("triceps") == ""
     assert standing("biceps_1") == LEFT_OUT
     assert standing("biceps_3") == OUTSIDE
+    growing.take(schema("triceps"))
+    assert standing("biceps_1") == LEFT_OUT, "until the arm goes on"
     growing.take(doing("biceps_3"))
+    assert standing("biceps_1") == OUTSIDE
     assert standing("biceps_3") == TAKEN_IN
     assert standing("biceps_3", state="lost") == standing("elbow", "joint") == ""
