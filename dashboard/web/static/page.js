@@ -72,6 +72,7 @@ function makeEvent(event) {
 function showDoing(state) {
   say(byId("stage"), state.stage);
   byId("stage").className = `pill ${state.stage === "stopped" ? "bad" : state.stage === "waiting" ? "amber" : ""}`;
+  controls.showTask(state.task || (state.stage === "hold" ? "hold" : ""));
   const training = state.training?.epochs ? state.training : null;
   const [done, of] = training ? [training.epoch, training.epochs] : [state.step ?? 0, state.steps ?? 0];
   byId("progress").hidden = !of;
