@@ -94,8 +94,8 @@ def layout(
             ),
             rrb.Horizontal(
                 rrb.Tabs(
-                    _lanes("What the robot does", "/lane/executive", "/lane/module/**"),
-                    _lanes("Processes", "/lane/process/**"),
+                    _lanes("What the robot does", "/executive", "/module/**"),
+                    _lanes("Processes", "/process/**"),
                     name="states",
                 ),
                 _named("log", _log()),
@@ -226,7 +226,7 @@ def _lanes(name: str, *paths: str) -> rrb.View:
     return _named(
         name,
         rrb.StateTimelineView(
-            origin="/lane",
+            origin="/",
             contents=list(paths),
             name=name,
             time_view=rrb.TimeAxis(view_range=_window(LANES_S), zoom_lock=True),

@@ -61,7 +61,7 @@ class View:
         try:
             sources = find_sources(args.what or args.robot)
             if args.picture:
-                photograph(sources, args.picture, args.at)
+                photograph(sources, args.picture, args.at, _say)
                 print(f"wrote {args.picture}")
                 return DONE
             viewer = open_view(*sources, window=not args.web and has_display())
@@ -149,6 +149,10 @@ def _segment(file: Path) -> int:
     """`elbow.rrd` -> 1, `elbow-2.rrd` -> 2."""
     number = file.stem.rpartition("-")[2]
     return int(number) if number.isdigit() else 1
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 def _announce(viewer: Viewer, sources: list[str]) -> None:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.growing import LEFT_OUT, OUTSIDE, TAKEN_IN
+
 Rgb = tuple[int, int, int]
 
 # Okabe and Ito's colours first, then lighter ones of Paul Tol's: told apart by colour-blind eyes,
@@ -68,6 +70,9 @@ STAGE_COLORS: dict[str, Rgb] = {
 MODULE_COLORS: dict[str, Rgb] = {
     "joining": _AMBER,
     "up": _GREEN,
+    OUTSIDE: _AMBER,
+    TAKEN_IN: _AMBER,
+    LEFT_OUT: _AMBER,
     "lost": _GREY,
     "fault": _RED,
     "stopped": _RED,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,13 +19,19 @@ PATIENCE_S = 60.0
 LOOK_S = 0.5  # between two looks whether the screen still changes
 
 
-def photograph(sources: Sequence[str], picture: Path, at_s: float | None = None) -> None:
+def photograph(
+    sources: Sequence[str],
+    picture: Path,
+    at_s: float | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> None:
     """Write what a person would see of these recordings, or of a robot that runs.
 
     Args:
         sources: files of one run, or a live address.
         picture: the PNG to write.
         at_s: robot time; None: the newest.
+        say: is told what is being done: it can take half a minute.
 
     Raises:
         ViewerError: no viewer, no Vulkan driver, or nothing came.
@@ -39,13 +45,16 @@ def photograph(sources: Sequence[str], picture: Path, at_s: float | None = None)
         os.environ.setdefault("RUST_LOG", "off")
         os.environ.setdefault("XDG_RUNTIME_DIR", scratch)
         try:
+            say("starting Rerun's viewer without a window; the picture can take half a minute")
             with ViewerClient.spawn(
                 headless=True, port=free_port(), executable_path=binary, hide_welcome_screen=True
             ) as viewer:
+                say(f"reading {', '.join(sources)}")
                 viewer.open(list(sources))
                 _await_data(viewer)
                 if at_s is not None:
                     viewer.set_time(duration=at_s, play_state="paused")
+                say("drawing until the screen stands still")
                 picture.write_bytes(_still(viewer))
         except ViewerError:
             raise

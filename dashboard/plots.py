@@ -13,6 +13,7 @@ from dashboard.canvas import Canvas, Muscles
 from dashboard.palette import LIMIT, MEASURED, REFERENCE, Rgb, slot_color
 from dashboard.tracks import Rows, Slots, Track
 from runtime import messages as m
+from runtime.growing import Growing
 from runtime.settings import RobotSettings
 
 FAST_NS = 10_000_000
@@ -29,7 +30,15 @@ _TENSION, _PLANNED, _ERROR, _ANOMALY = range(4)
 class Plots:
     """Takes the newest of every signal and draws it as rows."""
 
-    inputs = (m.ChainState, m.JointEstimate, m.ExecutiveState, m.Health, m.Clock)
+    inputs = (
+        m.ChainState,
+        m.JointEstimate,
+        m.ExecutiveState,
+        m.SchemaVersion,
+        m.Event,
+        m.Health,
+        m.Clock,
+    )
 
     def __init__(self, settings: RobotSettings, canvas: Canvas) -> None:
         self._canvas = canvas
@@ -56,6 +65,7 @@ class Plots:
         self._chains: dict[str, m.ChainState] = {}
         self._estimate: m.JointEstimate | None = None
         self._executive: m.ExecutiveState | None = None
+        self._growing = Growing()
         self._health: dict[str, m.Health] = {}
         self._factor = math.nan
 
@@ -91,6 +101,7 @@ class Plots:
 
     def receive(self, message: m.Message, now_ns: int) -> None:
         """Take in one message of `inputs`."""
+        self._growing.take(message)
         match message:
             case m.ChainState():
                 self._meet(message.muscles)
@@ -134,7 +145,7 @@ class Plots:
         if executive and abs(stamp_ns - executive.stamp_ns) < STALE_NS:
             rows.put(executive.muscles, executive.planned_tension_n, _PLANNED)
         if estimate and abs(stamp_ns - estimate.stamp_ns) < STALE_NS:
-            rows.put(estimate.muscles, estimate.length_error_m, _ERROR)
+            rows.put(estimate.muscles, self._length_errors_m(estimate), _ERROR)
             rows.put(estimate.muscles, estimate.anomaly, _ANOMALY)
         self._sample_by_chain("/role", chains, [chain.tension_n for chain in chains], stamp_ns)
         greatest_n = max((max(chain.tension_n, default=0.0) for chain in chains), default=0.0)
@@ -145,6 +156,14 @@ class Plots:
         self._add("/limit/temperature", stamp_ns, self._limit_degc)
         self._add("/limit/anomaly", stamp_ns, ODD_ANOMALY)
         self._add("/limit/zero", stamp_ns, 0.0)  # else noise fills the plot
+
+    def _length_errors_m(self, estimate: m.JointEstimate) -> Sequence[float]:
+        """Without that of a muscle that is being left out: of a torn wire it would be metres."""
+        leaving = self._growing.leaving
+        if leaving not in estimate.muscles:
+            return estimate.length_error_m
+        pairs = zip(estimate.muscles, estimate.length_error_m, strict=False)
+        return [math.nan if name == leaving else error_m for name, error_m in pairs]
 
     def _sample_by_chain(
         self,

@@ -8,6 +8,7 @@ from collections import deque
 from dashboard.canvas import Canvas
 from dashboard.palette import MODULE_COLORS, PROCESS_COLORS, STAGE_COLORS, Rgb
 from runtime import messages as m
+from runtime.growing import Growing
 
 MAX_TEXTS = 256  # between two drawings; more is a storm, of which the last lines are kept
 MAX_LANES = 128
@@ -30,7 +31,8 @@ class Story:
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
         self._lanes: dict[str, str] = {}
-        self._modules: dict[str, frozenset[str]] = {}  # chain -> who is plugged into it
+        self._bodies: dict[str, m.ChainBody] = {}
+        self._growing = Growing()
         self._texts: deque[tuple[int, str, str]] = deque(maxlen=MAX_TEXTS)
         self._executive: m.ExecutiveState | None = None
         self._schema = ""
@@ -40,12 +42,18 @@ class Story:
 
     def receive(self, message: m.Message, now_ns: int) -> None:
         """Take in one message of `inputs`."""
+        before = self._growing.words
+        self._growing.take(message)
+        if self._growing.words != before or isinstance(message, m.SchemaVersion):
+            for body in self._bodies.values():
+                self._take_body(body, now_ns)
         match message:
             case m.ExecutiveState():
                 self._executive = message
                 self._lane("executive", message.stage, now_ns, STAGE_COLORS)
             case m.ChainBody():
                 self._take_body(message, now_ns)
+                self._bodies[message.chain] = message
             case m.GroupState():
                 for row in message.processes:
                     self._lane(f"process/{row.process}", row.state, now_ns, PROCESS_COLORS)
@@ -72,12 +80,13 @@ class Story:
             self._canvas.status(now_ns * 1e-9, status)
 
     def _take_body(self, body: m.ChainBody, now_ns: int) -> None:
-        named = {module.name: module.state for module in body.modules if module.name}
-        for name in self._modules.get(body.chain, frozenset()) - named.keys():
+        before = self._bodies.get(body.chain, body).modules
+        named = {module.name: module for module in body.modules if module.name}
+        for name in {module.name for module in before if module.name} - named.keys():
             self._lane(f"module/{name}", "unplugged", now_ns, MODULE_COLORS)
-        for name, state in named.items():
+        for name, module in named.items():
+            state = self._growing.standing(module) or module.state
             self._lane(f"module/{name}", state, now_ns, MODULE_COLORS)
-        self._modules[body.chain] = frozenset(named)
 
     def _lane(self, name: str, state: str, now_ns: int, colors: dict[str, Rgb]) -> None:
         if self._lanes.get(name) == state:
@@ -85,9 +94,9 @@ class Story:
         if name not in self._lanes:
             if len(self._lanes) >= MAX_LANES:
                 return
-            self._canvas.lane(f"/lane/{name}", colors)
+            self._canvas.lane(f"/{name}", colors)
         self._lanes[name] = state
-        self._canvas.state(f"/lane/{name}", now_ns * 1e-9, state)
+        self._canvas.state(f"/{name}", now_ns * 1e-9, state)
 
     def _words(self) -> str:
         executive = self._executive
@@ -96,8 +105,8 @@ class Story:
         step = f" {executive.step}/{executive.steps}" if executive.steps else ""
         title = f"## {executive.stage}{step}"
         lines = []
-        if executive.growing:
-            lines.append(f"taking in **{executive.growing}**")
+        if self._growing.words:
+            lines.append(self._growing.words)
         elif executive.task:
             lines.append(f"task **{executive.task}**")
         if self._progress and self._progress.stage == "training":

@@ -5,7 +5,7 @@ Made for a page's first screen: it is read in ten seconds, on light ground, with
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # half a second of import that only whoever draws shall pay
     from matplotlib.axes import Axes
 
 Row = Sequence[str]
+LEVELS = 3  # of marks' names above each other
 
 _ANGLES = {
     "reference": {"color": FAINT, "lw": 1.4, "drawstyle": "steps-post"},
@@ -104,17 +105,12 @@ def _mark(top: Axes, bottom: Axes, marks: Sequence[tuple[float, str]]) -> None:
     if len(marks) > 1:
         for axes in (top, bottom):
             axes.axvspan(marks[0][0], marks[-1][0], color="#f5f2ea", lw=0, zorder=0)
-    free_from = [start] * 3  # on each level
-    for time, name in marks:
+    for (time, name), (middle, level) in zip(marks, places(marks, start, end), strict=True):
         for axes in (top, bottom):
             axes.axvline(time, color=INK, lw=0.8, ls=(0, (2, 2)), alpha=0.7)
-        width = (0.8 + len(name)) * 0.0115 * (end - start)
-        left = time - width / 2.0
-        level = next((k for k, free in enumerate(free_from) if left >= free), len(free_from) - 1)
-        free_from[level] = left + width
         top.annotate(
             name,
-            (time, 1.0),
+            (middle, 1.0),
             xycoords=("data", "axes fraction"),
             xytext=(0, 4 + 12 * level),
             textcoords="offset points",
@@ -122,6 +118,26 @@ def _mark(top: Axes, bottom: Axes, marks: Sequence[tuple[float, str]]) -> None:
             va="bottom",
             fontsize=9,
         )
+
+
+def places(
+    marks: Sequence[tuple[float, str]], start: float, end: float
+) -> Iterator[tuple[float, int]]:
+    """Middle and level of each mark's name, none over another, on an axis from start to end."""
+    free_from = [2.0 * start - end] * LEVELS
+    for time, name in marks:
+        width = name_width(name) * (end - start)
+        left = time - width / 2.0
+        # The lowest where there is room, else where the name is moved least.
+        level = min(range(LEVELS), key=lambda k: max(free_from[k], left))
+        left = max(free_from[level], left)
+        free_from[level] = left + width
+        yield left + width / 2.0, level
+
+
+def name_width(name: str) -> float:
+    """How much of the axis a mark's name takes."""
+    return (0.8 + len(name)) * 0.0115
 
 
 def _write_table(beside: Axes, rows: Sequence[Row]) -> None:

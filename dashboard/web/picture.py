@@ -10,15 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-import msgspec
-
+from dashboard.web.rows import module_row, process_row, version_row, words_of_link
 from runtime import messages as m
 from runtime.body_names import read_body
+from runtime.growing import Growing
 from runtime.hubs import Hub
 from runtime.settings import RobotSettings
 
 EVENTS = 60  # that are shown, and kept
 SILENT_S = 1.0  # without readings: a chain counts as silent
+STALE_S = 0.5  # an estimate that is older is not shown
+RESET = "press 'Reset: hold where the arm is' to go on"
 GROUP_SILENT_S = 4.0  # without the supervisor's table
 SLOW_S = 1.0  # between two looks at what only time changes
 
@@ -61,6 +63,8 @@ class Picture:
         self._progress: m.TrainingProgress | None = None
         self._schema: m.SchemaVersion | None = None
         self._estimate: m.JointEstimate | None = None
+        self._estimate_s = -math.inf  # when it came, in wall time
+        self._growing = Growing()
         self._health: dict[str, m.Health] = {}
         self._bodies: dict[str, m.ChainBody] = {}
         self._states: dict[str, m.ChainState] = {}
@@ -74,6 +78,7 @@ class Picture:
 
     def receive(self, message: m.Message, now_s: float) -> None:
         """Take in one message of `inputs`."""
+        self._take_growing(message)
         match message:
             case m.Clock():
                 self._clock = message
@@ -93,7 +98,7 @@ class Picture:
             case m.JointState():
                 self._measured_rad.update(zip(message.joints, message.angle_rad, strict=True))
             case m.JointEstimate():
-                self._estimate = message
+                self._estimate, self._estimate_s = message, now_s
             case m.ExecutiveState():
                 self._executive = message
                 self._changed.add("executive")
@@ -105,7 +110,7 @@ class Picture:
             case m.SchemaVersion():
                 self._schema = message
                 self.versions_stale = True
-                self._changed.add("schema")
+                self._changed |= {"schema", "chains"}
             case m.Event():
                 self._take_event(message)
 
@@ -172,22 +177,9 @@ class Picture:
             "supervised": group is not None and not silent,
             "ready": group is not None and group.ready,
             "run_dir": group.run_dir if group else "",
-            "rows": [self._process(row) for row in (group.processes if group else ())],
-        }
-
-    def _process(self, row: m.ProcessRow) -> dict[str, object]:
-        health = self._health.get(row.process)
-        lively = health is not None and health.pid == row.pid
-        return {
-            "process": row.process,
-            "state": row.state,
-            "pid": row.pid,
-            "restarts": row.restarts,
-            "last_exit": row.last_exit,
-            "tick_hz": round(health.tick_hz) if health and lively else None,
-            "cpu_percent": round(health.cpu_percent, 1) if health and lively else None,
-            "memory_mb": round(health.memory_mb) if health and lively else None,
-            "dropped": health.dropped if health and lively else None,
+            "rows": [process_row(row, self._health.get(row.process)) for row in group.processes]
+            if group
+            else [],
         }
 
     def _chains(self) -> dict[str, object]:
@@ -197,9 +189,9 @@ class Picture:
             "chains": [
                 {
                     "chain": chain.name,
-                    "link": chain.link,
+                    "link": words_of_link(chain.link),
                     "modules": [
-                        {**msgspec.structs.asdict(module), "serial": f"{module.serial:08x}"}
+                        module_row(module, self._growing.standing(module))
                         for module in self._modules(chain.name)
                     ],
                 }
@@ -217,6 +209,9 @@ class Picture:
             return {"stage": "waiting", "text": "the executive has not spoken yet"}
         shown = ("stage", "task", "step", "steps", "settled", "growing", "schema_version", "text")
         doing: dict[str, object] = {name: getattr(state, name) for name in shown}
+        doing["growth"] = self._growing.words
+        if state.stage == "stopped":
+            doing["text"] = RESET
         if state.stage == "relearn" and progress is not None:
             doing["training"] = {"epoch": progress.epoch, "epochs": progress.epochs}
             doing["training_stage"] = progress.stage
@@ -226,7 +221,7 @@ class Picture:
         active = self._schema
         return {
             "active": active.version if active else None,
-            "rows": [_version(row) for row in reversed(self._rows)],
+            "rows": [version_row(row) for row in reversed(self._rows)],
         }
 
     def _story(self) -> dict[str, object]:
@@ -262,12 +257,13 @@ class Picture:
                 }
                 for name, state in self._states.items()
             },
-            "joints": self._joints(),
+            "joints": self._joints(now_s),
         }
 
-    def _joints(self) -> dict[str, dict[str, float]]:
+    def _joints(self, now_s: float) -> dict[str, dict[str, float]]:
         found: dict[str, dict[str, float]] = {name: {} for name in self._settings.joints}
-        state, estimate = self._executive, self._estimate
+        state = self._executive
+        estimate = self._estimate if now_s - self._estimate_s <= STALE_S else None
         columns: dict[str, tuple[Sequence[str], Sequence[float]]] = {
             "measured_deg": (tuple(self._measured_rad), tuple(self._measured_rad.values())),
             "estimated_deg": (estimate.joints, estimate.angle_rad) if estimate else ((), ()),
@@ -282,6 +278,12 @@ class Picture:
 
     # ── inside ────────────────────────────────────────────────────────────────────────────────
 
+    def _take_growing(self, message: m.Message) -> None:
+        before = self._growing.words
+        self._growing.take(message)
+        if before != self._growing.words:
+            self._changed |= {"executive", "chains"}
+
     def _take_event(self, event: m.Event) -> None:
         # What happened before we came is told process by process.
         in_order = sorted([*self._events, event], key=lambda known: known.stamp_ns)
@@ -291,12 +293,3 @@ class Picture:
             self.viewer_url = event.data.get("url", "")
             self._viewers += 1
             self._changed.add("robot")
-
-
-def _version(row: m.VersionRow) -> dict[str, object]:
-    residuals = row.residual_mm.values()
-    figures = {
-        "mean_mm": round(sum(residuals) / len(residuals), 2) if residuals else None,
-        "worst_mm": round(max(residuals), 2) if residuals else None,
-    }
-    return {**msgspec.structs.asdict(row), **figures, "usable": row.state in ("shipped", "adopted")}

@@ -9,6 +9,7 @@ named in `[web] results`.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -129,8 +130,8 @@ def _document(document: Mapping[str, Any]) -> Iterator[Table]:
         methods = dict.fromkeys(method for method, _ in cells)
         figure, variant, control = key
         yield {
-            "title": f"{_titled(figure)}, {variant}, control: {control}",
-            "head": ["", *(f"N={n}" if n else "any N" for n in counts)],
+            "title": f"{_titled(figure)} · {variant} · control {control}",
+            "head": ["method", *(f"N={n}" if n else "any N" for n in counts)],
             "rows": [[m, *(_cell(cells.get((m, n))) for n in counts)] for m in methods],
         }
     claims = [row for row in document.get("orderings", ()) if row["claim"]]
@@ -145,7 +146,25 @@ def _document(document: Mapping[str, Any]) -> Iterator[Table]:
 _ORDERING = ("claim", "figure", "variant", "control", "n_new", "verdict")
 
 
+_NAMES = {  # as experiments' own tables write them
+    "e_theta_rad": "E_theta [rad]",
+    "e_f": "E_f",
+    "r_f": "R_f",
+    "sigma_f_n": "sigma_f [N]",
+    "f4_max_n": "f4max [N]",
+    "old_length_mm": "length error, old muscles [mm]",
+    "new_length_mm": "length error, new muscle [mm]",
+    "collect_peak_n": "greatest tension while collecting [N]",
+    "taut_percent": "samples with every wire taut [%]",
+    "peak_n": "peak [N]",
+    "share_sd_n": "spread at the peak [N]",
+    "learn": "relearning, processor time [s]",
+}
+
+
 def _titled(figure: str) -> str:
+    if figure in _NAMES:
+        return _NAMES[figure]
     for suffix, unit in _UNITS.items():
         if figure.endswith(suffix):
             return f"{figure.removesuffix(suffix).replace('_', ' ')} [{unit}]"
@@ -155,5 +174,14 @@ def _titled(figure: str) -> str:
 def _cell(row: Mapping[str, Any] | None) -> str:
     if row is None or row["mean"] is None:
         return ""
-    spread = "" if row["sd"] is None else f" ± {row['sd']:.2g}"
-    return f"{row['mean']:.4g}{spread}"
+    mean, sd = row["mean"], row["sd"]
+    digits = _decimals(mean, 3)
+    if sd is None:
+        return f"{mean:.{digits}f}"
+    digits = max(digits, min(_decimals(sd, 1), digits + 2))
+    return f"{mean:.{digits}f} ± {sd:.{digits}f}"
+
+
+def _decimals(value: float, digits: int) -> int:
+    """How many stand behind the point when so many digits count."""
+    return max(0, digits - 1 - math.floor(math.log10(abs(value)))) if value else 0

@@ -11,12 +11,14 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from runtime import messages as m
 from runtime.cli.client import Client
 from runtime.cli.main import DONE, NOT_RUNNING
 from runtime.cli.status import Picture
 
 PERIOD_S = 0.25
 SILENT_S = 2.5  # the supervisor and every process speak once a second
+STALE_NS = 500_000_000  # an estimate that is older is none
 BAR = 12  # characters
 WIDE = 150  # characters: then processes stand beside modules
 WARM, HOT = 0.6, 0.85  # of a limit
@@ -72,8 +74,8 @@ def _headline(picture: Picture, silent_s: float) -> ConsoleRenderable:
         line.append(f" {executive.task}".rstrip())
         if executive.steps:
             line.append(f" {executive.step}/{executive.steps}")
-        if executive.growing:
-            line.append(f" taking in {executive.growing}", "cyan")
+        if words := picture.growing.words:
+            line.append(f" {words}", "cyan")
     if picture.schema:
         line.append(f"   schema {picture.schema.version} ({picture.schema.method})")
     training = picture.training
@@ -91,12 +93,14 @@ def _headline(picture: Picture, silent_s: float) -> ConsoleRenderable:
 def _modules(picture: Picture) -> Table:
     table = _table("chain", "id>", "module", "N>", "of limit", "", "°C>", "errors>", "state")
     chain = ""
-    for row in picture.modules():
+    infos = [module for body in picture.bodies.values() for module in body.modules]
+    for row, info in zip(picture.modules(), infos, strict=True):
         limit = row["limit_N"]
         tension = row["N"]
         load, most = Text(), ""
         if isinstance(tension, float) and isinstance(limit, float) and limit > 0:
             load, most = _bar(tension / limit), f"{limit:.0f}"
+        standing = picture.growing.standing(info)
         state = str(row["state"])
         table.add_row(
             "" if row["chain"] == chain else str(row["chain"]),
@@ -107,7 +111,7 @@ def _modules(picture: Picture) -> Table:
             Text(most, "dim"),
             _number(row["degC"]),
             str(row["link_errors"] or ""),
-            Text(state, _STATES.get(state, "bold red")),
+            Text(standing or state, "yellow" if standing else _STATES.get(state, "bold red")),
         )
         chain = str(row["chain"])
     return table
@@ -115,7 +119,7 @@ def _modules(picture: Picture) -> Table:
 
 def _joints(picture: Picture) -> Table:
     table = _table("joint", "wanted>", "measured>", "estimated>", "±>", "off>")
-    executive, estimate = picture.executive, picture.estimate
+    executive, estimate = picture.executive, _newest_estimate(picture)
     wanted = dict(zip(executive.joints, executive.reference_rad, strict=False)) if executive else {}
     felt = dict(zip(estimate.joints, estimate.angle_rad, strict=False)) if estimate else {}
     wide = dict(zip(estimate.joints, estimate.confidence_rad, strict=False)) if estimate else {}
@@ -128,6 +132,15 @@ def _joints(picture: Picture) -> Table:
             _degrees(off),
         )
     return table
+
+
+def _newest_estimate(picture: Picture) -> m.JointEstimate | None:
+    """The estimate, unless what was felt since is too much newer."""
+    estimate = picture.estimate
+    felt_ns = max((state.stamp_ns for state in picture.states.values()), default=0)
+    if estimate is None or felt_ns - estimate.stamp_ns > STALE_NS:
+        return None
+    return estimate
 
 
 def _processes(picture: Picture) -> Table:

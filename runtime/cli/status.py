@@ -12,6 +12,7 @@ import msgspec
 from runtime import messages as m
 from runtime.cli.client import Client, add_robot_argument, with_robot
 from runtime.cli.main import DONE, NOT_RUNNING
+from runtime.growing import Growing
 
 LISTEN_S = 0.5  # at most: a simulated robot that is whole has told everything long before
 WATCH_S = 1.0
@@ -85,6 +86,7 @@ class Picture:
         self.schema: m.SchemaVersion | None = None
         self.estimate: m.JointEstimate | None = None
         self.training: m.TrainingProgress | None = None
+        self.growing = Growing()
         self.angle_rad: dict[str, float] = {}  # measured
         self.events: deque[m.Event] = deque(maxlen=RECENT)
         self.health: dict[str, m.Health] = {}
@@ -93,6 +95,7 @@ class Picture:
 
     def take(self, message: m.Message) -> bool:
         """Take in a message; True once everything is known that a living robot tells."""
+        self.growing.take(message)
         match message:
             case m.Clock():
                 self.clock = message

@@ -198,11 +198,16 @@ def test_the_key_stops_the_arm_and_reset_lets_it_hold(
     expect(page.locator("#stage")).to_have_text("stopped")
     page.screenshot(path=shots / "stopped.png", full_page=True)
     accessible(page)
-    page.get_by_role("button", name="hold", exact=True).click()
+    expect(page.locator("#detail")).to_contain_text("Reset: hold where the arm is")
+    for name in ("hold", "Go there", "Relearn"):
+        expect(page.get_by_role("button", name=name, exact=True)).to_be_disabled()
     page.get_by_role("button", name="Reset").click()
     expect(page.locator("#answers .good").last).to_contain_text("holds where it is")
     expect(page.locator("#stage")).to_have_text("hold")
     expect(page.locator("#alarm")).to_be_empty()
+    hold = page.get_by_role("button", name="hold", exact=True)
+    expect(hold).to_be_enabled()
+    expect(hold).to_have_attribute("aria-pressed", "true")
 
 
 def test_a_process_is_killed_and_seen_to_return(page: Page, robot: Robot) -> None:

@@ -126,7 +126,7 @@ def test_file_holds_the_whole_run(recording: Path) -> None:
     assert rows["/wires"] > 12 * PLUG_S
     assert rows["/robot/frames"] == 2 * rows["/wires"], "upper arm and forearm"
     assert rows["/sharing"] > 2 * PLUG_S
-    assert rows[f"/lane/module/{ADDED}"] == 3, "how it looks, joining, up"
+    assert rows[f"/module/{ADDED}"] == 3, "how it looks, joining, up"
     assert {"join", "collect", "executive: collect begins"} <= said
 
 

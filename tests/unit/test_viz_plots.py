@@ -110,6 +110,20 @@ def test_length_error_plan_and_anomaly_stand_beside_the_tension(
         assert np.isnan(last_row(canvas, kind)).all(), "an old one is not shown"
 
 
+def test_a_muscle_that_is_left_out_has_no_length_error(
+    settings: RobotSettings, canvas: PaperCanvas
+) -> None:
+    stream = Stream(settings, canvas)
+    torn = m.Event(
+        process="executive", level="info", kind="shrink_started", text="", data={"muscle": FIRST[1]}
+    )
+    state = m.ExecutiveState(stage="collect", growing=FIRST[1], schema_version=1)
+    feed(stream, [torn, state, estimate(95 * MS), chain_state(100 * MS)], 100 * MS)
+    row = last_row(canvas, "length_error_m")
+    assert math.isnan(row[1])
+    assert (row[0], row[2]) == (0.0, 0.0)
+
+
 def test_plugged_muscle_takes_the_next_slot_and_its_name_appears(
     settings: RobotSettings, canvas: PaperCanvas
 ) -> None:
@@ -241,5 +255,5 @@ def test_a_whole_run_is_drawn_to_its_end(settings: RobotSettings, canvas: PaperC
         if now_ns != before:
             list(stream.tick(now_ns))
             before = now_ns
-    assert canvas.states["/lane/executive"][-1][1] == "collect"
-    assert canvas.states["/lane/module/biceps_3"][-1][1] == "up"
+    assert canvas.states["/executive"][-1][1] == "collect"
+    assert canvas.states["/module/biceps_3"][-1][1] == "being taken in"

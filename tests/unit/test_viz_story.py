@@ -25,12 +25,23 @@ def test_lanes_change_only_when_states_do(settings: RobotSettings, canvas: Paper
         )
     ):
         feed(stream, [message], now_s * SECOND)
-    assert canvas.states["/lane/module/triceps"] == [
+    assert canvas.states["/module/triceps"] == [
         (0.0, "joining"),
         (1.0, "up"),
         (4.0, "unplugged"),
     ]
-    assert canvas.states["/lane/process/world"] == [(5.0, "ready")]
+    assert canvas.states["/process/world"] == [(5.0, "ready")]
+
+
+def test_a_lane_says_that_a_muscle_is_in_no_schema(
+    settings: RobotSettings, canvas: PaperCanvas
+) -> None:
+    stream = Stream(settings, canvas)
+    up = m.ModuleInfo(name="biceps_1", kind="muscle", module_id=2, serial=1, state="up")
+    schema = m.SchemaVersion(version=1, joints=(), muscles=("triceps",), method="iv", data=b"")
+    for now_s, message in enumerate((m.ChainBody(chain="arm", modules=(up,)), schema)):
+        feed(stream, [message], now_s * SECOND)
+    assert canvas.states["/module/biceps_1"] == [(0.0, "up"), (1.0, "not in the schema")]
 
 
 def test_events_are_logged_with_their_own_time_and_level(

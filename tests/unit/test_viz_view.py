@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 
 from dashboard.commands import find_sources
 from dashboard.photo import photograph
-from dashboard.summary import draw_summary
+from dashboard.summary import draw_summary, name_width, places
 from dashboard.viewer import ViewerError, has_display
 from runtime.cli.main import REFUSED, USAGE, main
 from runtime.hubs import Claim, Hub, HubError
@@ -133,3 +134,15 @@ def test_summary_is_a_picture_also_of_one_muscle_and_nothing_else(tmp_path: Path
     for file in (full, bare):
         assert file.read_bytes().startswith(b"\x89PNG")
     assert full.stat().st_size > bare.stat().st_size
+
+
+def test_names_of_marks_are_never_written_over_each_other() -> None:
+    names = ("plug", "join", "collect", "relearn", "check", "adopt", "resume", "hold")
+    marks = [(40.0 + 0.1 * i, name) for i, name in enumerate(names)]
+    placed = [
+        (middle - 50.0 * name_width(name), middle + 50.0 * name_width(name), level)
+        for (_, name), (middle, level) in zip(marks, places(marks, 0.0, 100.0), strict=True)
+    ]
+    assert {level for _, _, level in placed} == {0, 1, 2}
+    for (_, end, level), later in pairwise(sorted(placed, key=lambda x: (x[2], x[0]))):
+        assert later[2] > level or later[0] >= end - 1e-9

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
+import dashboard.web
 from dashboard.web.picture import EVENTS, Picture
 from runtime import messages as m
 from runtime.hubs import Hub, address_file
 from tests.unit.page_server import elbow
 
 NOW_S = 1000.0
+PAGE = Path(dashboard.web.__file__).parent / "static" / "index.html"
 
 
 @pytest.fixture
@@ -82,7 +85,7 @@ def test_chains_have_their_modules_in_order_with_gauges(picture: Picture) -> Non
     told = sections(picture)
     (chain,) = told["chains"]["chains"]
     assert told["chains"]["temperature_limit_degc"] == 80.0
-    assert (chain["chain"], chain["link"]) == ("arm", "sim:")
+    assert (chain["chain"], chain["link"]) == ("arm", "simulated")
     assert [x["name"] for x in chain["modules"]] == ["triceps", "elbow"]
     assert chain["modules"][0]["serial"] == "00000abc"
     assert chain["modules"][0]["link_errors"] == 3
@@ -136,6 +139,8 @@ def test_angles_are_in_degrees_and_what_is_not_known_is_not_there(picture: Pictu
     picture.receive(waiting, NOW_S)
     told = sections(picture)["readings"]["joints"]["elbow"]
     assert told == {"measured_deg": 45.0, "estimated_deg": 28.6}
+    told = sections(picture, NOW_S + 0.6)["readings"]["joints"]["elbow"]
+    assert told == {"measured_deg": 45.0}, "an old estimate is none"
 
 
 def test_progress_of_a_task_and_of_relearning(picture: Picture) -> None:
@@ -147,6 +152,50 @@ def test_progress_of_a_task_and_of_relearning(picture: Picture) -> None:
     assert told["training"] == {"epoch": 3, "epochs": 60}
     picture.receive(m.ExecutiveState(stage="adopt"), NOW_S)
     assert "training" not in sections(picture)["executive"]
+
+
+def schema(*muscles: str) -> m.SchemaVersion:
+    return m.SchemaVersion(version=1, joints=(), muscles=muscles, method="shipped", data=b"")
+
+
+def test_a_muscle_that_is_lost_is_not_taken_in(picture: Picture) -> None:
+    picture.receive(schema("triceps", "biceps_1"), NOW_S)
+    begun = m.Event(
+        process="executive",
+        level="info",
+        kind="shrink_started",
+        text="the body goes on without 'biceps_1'",
+        data={"muscle": "biceps_1"},
+    )
+    picture.receive(begun, NOW_S)
+    state = m.ExecutiveState(stage="relearn", growing="biceps_1", schema_version=1)
+    picture.receive(state, NOW_S)
+    assert sections(picture)["executive"]["growth"] == "going on without biceps_1"
+
+
+def test_a_muscle_outside_the_schema_is_named_so(picture: Picture) -> None:
+    modules = tuple(
+        m.ModuleInfo(name=name, kind=kind, module_id=i, serial=i, state="up")
+        for i, (name, kind) in enumerate((("triceps", "muscle"), ("elbow", "joint")))
+    )
+    picture.receive(m.ChainBody(chain="arm", modules=modules), NOW_S)
+    assert standings(picture) == ["", ""], "nobody has told of a schema"
+    picture.receive(schema("biceps_1"), NOW_S)
+    assert standings(picture) == ["not in the schema", ""]
+    picture.receive(schema("triceps"), NOW_S)
+    assert standings(picture) == ["", ""]
+
+
+def standings(picture: Picture) -> list[str]:
+    (chain,) = sections(picture)["chains"]["chains"]
+    return [module["standing"] for module in chain["modules"]]
+
+
+def test_a_stopped_robot_is_cleared_by_the_pages_own_button(picture: Picture) -> None:
+    text = "stopped; clear with 'myograft reset'"
+    picture.receive(m.ExecutiveState(stage="stopped", text=text), NOW_S)
+    button = re.search(r'id="reset">([^<]+)<', PAGE.read_text())
+    assert button and button[1] in sections(picture)["executive"]["text"]
 
 
 def test_versions_with_their_figures_newest_first(picture: Picture) -> None:
@@ -172,6 +221,7 @@ def test_versions_with_their_figures_newest_first(picture: Picture) -> None:
     assert [(x["version"], x["usable"]) for x in told] == [(3, False), (2, True), (1, True)]
     assert (told[1]["mean_mm"], told[1]["worst_mm"], told[1]["train_s"]) == (0.4, 0.6, 6.6)
     assert told[2]["mean_mm"] is None
+    assert told[2]["train_s"] is None, "it was not trained"
     picture.receive(m.SchemaVerdict(job="j", adopted=True, reason=""), NOW_S)
     assert picture.versions_stale
 

@@ -77,9 +77,9 @@ def test_tables_of_a_sweep(folder: Path) -> None:
 
 def test_tables_of_a_document(folder: Path) -> None:
     means, claims = read(find((folder,))["elbow"])["tables"]
-    assert means["title"] == "e theta [rad], clean, control: paper"
-    assert means["head"] == ["", "any N", "N=5"]
-    assert means["rows"] == [["before", "0.0214 ± 0.0001", ""], ["(iv)", "", "0.005"]]
+    assert means["title"] == "E_theta [rad] · clean · control paper"
+    assert means["head"] == ["method", "any N", "N=5"]
+    assert means["rows"] == [["before", "0.0214 ± 0.0001", ""], ["(iv)", "", "0.00500"]]
     assert claims["rows"] == [["(ii) < (i)", "e_theta_rad", "clean", "paper", "5", "a < b"]]
 
 

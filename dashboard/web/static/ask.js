@@ -38,6 +38,7 @@ export function show(title, text, kind) {
   const close = el("button", { type: "button", class: "small", "aria-label": "Dismiss", click: () => answer.remove() }, "×");
   const answer = el("div", { class: `answer ${kind}`, role: kind === "bad" ? "alert" : "status" },
     el("strong", {}, title), close, el("span", {}, text));
+  if (kind === "good") for (const old of answers.querySelectorAll(".good")) old.remove(); // it must not cover much
   answers.append(answer);
   while (answers.children.length > MOST) answers.firstElementChild.remove();
   setTimeout(() => answer.remove(), SHOWN_MS[kind]);

@@ -29,7 +29,7 @@ function makeModule(chain, module, limit_degc) {
   const name = module.name || "(new)";
   const card = el("div", { class: "module" },
     el("div", { class: "head" }, el("h4", {}, ...breakable(name)), el("span", { class: "state" })),
-    el("p", { class: "facts numbers" }), el("p", { class: "facts bad problem", hidden: true }));
+    el("p", { class: "facts numbers", title: "errors: answers that were missing or garbled" }), el("p", { class: "facts serial" }, `serial ${module.serial}`), el("p", { class: "facts bad problem", hidden: true }));
   if (module.kind === "muscle") {
     card.append(gauge("tension", `tension of ${name}`), gauge("temperature", `temperature of ${name}`));
     card.dataset.limitDegc = limit_degc;
@@ -50,10 +50,10 @@ function makeModule(chain, module, limit_degc) {
 function fillModule(item, module) {
   item.dataset.state = module.state;
   const state = item.querySelector(".state");
-  state.className = `state ${module.state}`;
-  say(state, module.state);
-  const errors = module.link_errors === 1 ? "1 link error" : `${module.link_errors} link errors`;
-  say(item.querySelector(".numbers"), `${module.kind} · id ${module.module_id} · ${module.serial} · ${errors}`);
+  state.className = `state ${module.standing ? "outside" : module.state}`;
+  say(state, module.standing || module.state);
+  const errors = module.link_errors ? `${module.link_errors} error${module.link_errors === 1 ? "" : "s"}` : "";
+  say(item.querySelector(".numbers"), [module.kind, `id ${module.module_id}`, errors].filter(Boolean).join(" · "));
   const problem = item.querySelector(".problem");
   problem.hidden = !module.fault;
   say(problem, module.fault);

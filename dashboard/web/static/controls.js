@@ -9,6 +9,8 @@ const METHODS = {
   iii: "(iii) with fading replay",
   iv: "(iv) by wires",
 };
+let stopped = false;
+let running = "";
 let joints = [];
 let spares = [];
 const touched = new Set();
@@ -48,14 +50,34 @@ export function showRobot(robot) {
   const tasks = [...robot.tasks.map((task) => [task.name, `${task.name} (${task.targets})`]), ["park", "park"], ["hold", "hold"]];
   keyed(byId("tasks"), tasks, ([name]) => name,
     ([name]) => el("button", { type: "button", click: () => ask("task", { name }, `Task ${name}`) }),
-    (button, [name, words]) => {
-      say(button, words);
-      button.classList.toggle("main", name === "hold");
-    });
+    (button, [, words]) => say(button, words));
+  showStopped(stopped);
+  showTask(running);
   keyed(byId("joints"), joints, (joint) => joint.name, makeJoint, () => {});
   keyed(byId("method"), robot.methods, (name) => name,
     (name) => el("option", { value: name, selected: name === robot.growth.method }, METHODS[name] ?? name), () => {});
   if (!byId("n-new").value) byId("n-new").value = robot.growth.n_new;
+}
+
+/** After a stop nothing is moved before it is cleared; the robot would refuse, and why is said. */
+export function showStopped(now) {
+  stopped = now;
+  byId("stopped-note").hidden = !now;
+  for (const button of document.querySelectorAll("#tasks button, #reach button, #relearn button")) {
+    button.disabled = now;
+    if (now) button.setAttribute("aria-describedby", "stopped-note");
+    else button.removeAttribute("aria-describedby");
+  }
+}
+
+/** Which of the tasks runs now; "" if none does. */
+export function showTask(name) {
+  running = name;
+  for (const button of byId("tasks").children) {
+    const current = button.dataset.key === name;
+    button.classList.toggle("main", current);
+    button.setAttribute("aria-pressed", String(current));
+  }
 }
 
 export function showSpares(chains) {

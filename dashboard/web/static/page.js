@@ -43,6 +43,7 @@ const take = {
     modes = Object.fromEntries(Object.entries(now.chains).map(([name, chain]) => [name, chain.silent ? "silent" : chain.mode]));
     showReadings(now.chains);
     controls.showAngles(now.joints);
+    controls.showStopped(Object.values(modes).some((mode) => ["stopping", "stopped"].includes(mode)));
     showBlinking(events, now.time_s ?? 0);
     say(byId("clock"), now.time_s == null ? "" : `${now.time_s.toFixed(1)} s · ${now.real_time_factor} × real time`);
     alarm();
@@ -71,11 +72,12 @@ function makeEvent(event) {
 function showDoing(state) {
   say(byId("stage"), state.stage);
   byId("stage").className = `pill ${state.stage === "stopped" ? "bad" : state.stage === "waiting" ? "amber" : ""}`;
+  controls.showTask(state.task || (state.stage === "hold" ? "hold" : ""));
   const training = state.training?.epochs ? state.training : null;
   const [done, of] = training ? [training.epoch, training.epochs] : [state.step ?? 0, state.steps ?? 0];
   byId("progress").hidden = !of;
   byId("progress").value = of ? done / of : 0;
-  const what = state.growing ? `taking in ${state.growing}` : state.task ? `task ${state.task}` : "";
+  const what = state.growth ? state.growth : state.task ? `task ${state.task}` : "";
   const how = training ? `epoch ${done} of ${of}` : of ? `${done} of ${of}` : "";
   const rest = state.settled && state.stage === "hold" ? "settled" : "";
   const version = state.schema_version ? `schema ${state.schema_version}` : "no schema";
@@ -110,7 +112,7 @@ function showVersions({ rows }) {
     (line, row) => {
       line.classList.toggle("active", row.active);
       const off = row.mean_mm == null ? "–" : `${row.mean_mm.toFixed(2)}, ${row.worst_mm.toFixed(2)} mm`;
-      const trained = row.train_s ? `${row.train_s.toFixed(1)} s` : "–";
+      const trained = row.train_s != null ? `${row.train_s.toFixed(1)} s` : "–";
       const state = row.reason && row.state === "refused" ? `refused: ${row.reason}` : row.state;
       const texts = [row.active ? `in use (${state})` : state, row.method, String(row.muscles.length), off, trained];
       texts.forEach((text, index) => say(line.children[index + 1], text));

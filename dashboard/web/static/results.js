@@ -19,7 +19,7 @@ function makeTable({ title, head, rows }) {
         el("tr", {}, el("th", { scope: "row" }, first), ...rest.map((cell) => el("td", { class: "n" }, cell))))))));
 }
 
-const counted = (list, word) => `${list.length} ${word}${list.length === 1 ? "" : "s"}`;
+const counted = (list, index) => list.length && `${list.length} ${["table", "picture"][index]}${list.length === 1 ? "" : "s"}`;
 
 async function show(name) {
   const found = await get(`/api/results/${encodeURIComponent(name)}`);
@@ -27,7 +27,7 @@ async function show(name) {
   byId("pictures").replaceChildren(...found.pictures.map((file) =>
     el("img", { src: `${where}/${encodeURIComponent(file)}`, alt: `${file.replace(/\.\w+$/, "")}: a plot of the tables below`, loading: "lazy" })));
   byId("tables").replaceChildren(...found.tables.map(makeTable));
-  say(byId("note"), found.problem ?? `${counted(found.tables, "table")}, ${counted(found.pictures, "picture")}`);
+  say(byId("note"), found.problem ?? [found.tables, found.pictures].map(counted).filter(Boolean).join(", "));
   document.title = `${found.title} - myograft`;
 }
 
