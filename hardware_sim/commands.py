@@ -103,10 +103,11 @@ class Fault:
             return with_robot(args.robot, _list_faults)
         if args.action == "mend":
             return request(args.robot, _mending(args.target))
-        if len(args.target) != 1:
-            raise UsageError(f"what shall have it? myograft fault {args.action} TARGET")
+        if len(args.target) > 1:
+            raise UsageError(f"one target at a time: myograft fault {args.action} TARGET")
         amount = _USUAL.get(args.action, 1.0) if args.amount is None else args.amount
-        return request(args.robot, m.Fault(kind=args.action, target=args.target[0], amount=amount))
+        target = args.target[0] if args.target else ""  # without one the world says what there is
+        return request(args.robot, m.Fault(kind=args.action, target=target, amount=amount))
 
 
 def _mending(words: list[str]) -> m.Fault:
@@ -125,6 +126,6 @@ def _list_faults(client: Client) -> int:
         for name, amount in reply.data.items():
             if name != "process":
                 kind, _, target = name.partition(" ")
-                print(f"{kind:<9} {target:<20} {amount}")
+                print(f"{kind:<9} {target:<20} {amount}".rstrip())
     quiet = [reply for reply in replies if reply.ok and not reply.text]
     return DONE if quiet else show(replies, question)

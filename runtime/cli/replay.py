@@ -28,6 +28,7 @@ from runtime.retrace import Report, logics, retrace
 from runtime.runs import RunError, about_all, read_all, recordings
 from runtime.settings import RobotSettings, SettingsError, load_robot
 from runtime.settings_checks import NAME
+from runtime.suggestion import suggestion
 
 PICTURE_S = 60.0  # wall time that the picture may take to come up
 
@@ -233,7 +234,7 @@ class _Progress:
 def _check(args: argparse.Namespace, files: list[Path], about: About) -> int:
     known = logics()
     if args.check not in known:
-        raise UsageError(f"{args.check!r} cannot be checked; there is: {', '.join(known)}")
+        raise UsageError(f"{args.check!r} cannot be checked{suggestion(args.check, known)}")
     try:
         settings = _settings(args, about)
     except SettingsError as error:

@@ -126,8 +126,8 @@ def test_reach_goes_there_and_holds(robot: Robot) -> None:
 @pytest.mark.parametrize(
     ("request_", "words"),
     [
-        (m.Task(name="dance"), "no task 'dance' in the robot file; there are: nod, park, hold, c"),
-        (m.Reach(angle_rad={"knee": 0.1}), "no joint 'knee'; there are: elbow"),
+        (m.Task(name="swim"), "no task 'swim' in the robot file; there is cancel, hold, nod, p"),
+        (m.Reach(angle_rad={"knee": 0.1}), "no joint 'knee'; there is elbow"),
         (m.Reach(angle_rad={"elbow": 2.5}), "joint 'elbow' reaches -5 .. 130 deg"),
         (m.Reach(angle_rad={"elbow": float("nan")}), "joint 'elbow' reaches -5 .. 130 deg"),
         (m.Relearn(method="v"), "method is one of i, ii, iii, iv, and n_new"),
