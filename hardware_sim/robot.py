@@ -215,6 +215,9 @@ class SimulatedRobot:
             self.faults.clear(fault.kind, fault.target)
         self._hold_readings()
         text = _list(f"{fault.kind} on '{fault.target}'" for fault in mended)
+        for name in dict.fromkeys(fault.target for fault in mended):
+            if name in self._modules and self._modules[name].alert:
+                text += f"; '{name}' reports its error until it is unplugged and plugged in"
         return self._told_fault("info", f"mended: {text}", request.target)
 
     def _hold_readings(self) -> None:

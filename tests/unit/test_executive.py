@@ -271,7 +271,10 @@ def test_growth_can_be_cancelled_and_the_guest_is_left_in_peace(collecting: Robo
     assert collecting.stage == "hold"
     assert collecting.states[-1].growing == ""
     event = next(e for e in collecting.rig.events if e.kind == "grow_failed")
-    assert event.text == "'biceps_3' is not taken in and the arm holds: cancelled by 'cancel'"
+    assert event.text == (
+        "'biceps_3' is not taken in and the arm holds: cancelled by 'cancel'; "
+        "to try again: myograft unplug biceps_3 && myograft plug biceps_3"
+    )
     assert collecting.kinds().count("grow_started") == 1
     collecting.ask(m.Reach(angle_rad={"elbow": float(np.radians(45.0))}))
     collecting.settle()
@@ -289,6 +292,7 @@ def test_plugged_anew_it_is_tried_again_and_a_guest_that_leaves_ends_it(collecti
     collecting.rig.run(1.0)
     last = [e for e in collecting.rig.events if e.kind == "grow_failed"][-1]
     assert "a muscle left meanwhile" in last.text
+    assert last.text.endswith("once it is back: myograft plug biceps_3")
     collecting.settle()
     assert collecting.states[-1].muscles == SETTINGS.muscles
     assert not [kind for kind in collecting.kinds() if kind.startswith("shrink")]

@@ -268,6 +268,14 @@ def test_an_overheated_motor_reports_it(robot: SimulatedRobot) -> None:
     assert read(robot, "near", 3, "motor_temperature") == pytest.approx(95.0, abs=1.0)
     assert int(read(robot, "near", 3, "hardware_error")) & HardwareError.OVERHEATING
     assert read(robot, "near", 2, "motor_temperature") == pytest.approx(25.0, abs=1.0)
+    text = mend(robot, target="extensor")
+    assert text.endswith("; 'extensor' reports its error until it is unplugged and plugged in")
+    run(robot, 100)
+    assert int(read(robot, "near", 3, "hardware_error")) & HardwareError.OVERHEATING
+    robot.unplug(m.Unplug(muscle="extensor"))
+    robot.plug(m.Plug(muscle="extensor"))
+    run(robot, 10)
+    assert read(robot, "near", 3, "hardware_error") == 0
 
 
 def test_stuck_sensors_give_their_last_reading_until_mended(robot: SimulatedRobot) -> None:
