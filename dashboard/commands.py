@@ -95,8 +95,9 @@ def find_sources(what: str = "") -> list[str]:
             return files
         if what and path.is_dir():
             return _recordings(path)
-        left = f"{what!r} has left no recording{unless_known(what) or ','} and "
-        raise HubError(f"{left if what else ''}{error}") from error
+        if hint := unless_known(what):
+            raise HubError(f"{what!r} is not running and has left no recording{hint}") from error
+        raise HubError(f"{what!r} has left no recording, and {error}" if what else error) from error
     url = _live_address(Path(hub.run_dir), hub.robot)
     if not url:
         raise ViewerError(

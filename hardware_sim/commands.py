@@ -73,8 +73,9 @@ class Fault:
       corrupt   chain or module  probability that a byte on the line has a flipped bit
       drop      chain or module  probability that a packet is lost
       delay     chain or module  seconds that answers come late
-      cable     chain or module  pulled before this module: all behind it are silent; for a chain
-                                 the amount is how many modules are left
+      cable     chain or module  pulled before this module: it and all that hang behind it on the
+                                 chain are silent, whatever their ids (the robot's page draws them
+                                 in that order); for a chain the amount is how many are left
       stuck     muscle or joint  its load cell or angle sensor gives its last reading
       rupture   muscle           its wire is torn, until the muscle is unplugged and plugged in anew
       overheat  muscle           degC that its motor is hotter than its load makes it

@@ -275,7 +275,7 @@ def report_text(report: Report) -> str:
         f"the recording has gaps, {_gaps(report.gaps)}: what was said there cannot be compared, "
         f"and is no fault of {report.process}": len(report.gaps),
         f"{report.unheard} messages that it took in did not reach the recorder": report.unheard,
-        f"{report.lost_steps} steps did not, so that nobody knows on what it acted there": report.lost_steps,
+        f"{report.lost_steps} steps did not: nobody knows on what it acted": report.lost_steps,
         left_out: report.left_out,
     }
     return "\n".join([*lines, *(f"  {text}" for text, count in counts.items() if count)])
