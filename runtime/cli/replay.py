@@ -256,7 +256,9 @@ def report_text(report: Report) -> str:
     lines = [
         f"{report.process}: {report.steps} steps from {report.begin_ns * 1e-9:.3f} s to "
         f"{report.end_ns * 1e-9:.3f} s of robot time",
-        f"{report.equal} of {report.compared} outputs are what was recorded, to the last bit",
+        f"{report.equal} of {report.compared} outputs are what was recorded, to the last bit"
+        if report.compared
+        else "no output is left to compare",
     ]
     for name, row in sorted(report.differences.items()):
         what = "not comparable" if math.isinf(row.greatest) else f"up to {row.greatest:.3g}"
@@ -275,7 +277,8 @@ def report_text(report: Report) -> str:
         f"the recording has gaps, {_gaps(report.gaps)}: what was said there cannot be compared, "
         f"and is no fault of {report.process}": len(report.gaps),
         f"{report.unheard} messages that it took in did not reach the recorder": report.unheard,
-        f"{report.lost_steps} steps did not: nobody knows on what it acted": report.lost_steps,
+        f"{report.lost_steps} steps that it made did not, with what it took in for them, reach the "
+        f"recorder": report.lost_steps,
         left_out: report.left_out,
     }
     return "\n".join([*lines, *(f"  {text}" for text, count in counts.items() if count)])

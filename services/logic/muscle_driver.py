@@ -255,9 +255,7 @@ class MuscleDriver:
         bits = int((yield from read(module.id, "hardware_error")))
         words = [error.name.lower().replace("_", " ") for error in HardwareError if bits & error]
         module.state, module.fault = "fault", ", ".join(words) or f"hardware error {bits:#04x}"
-        text = (
-            f"{module.name} reports: {module.fault}. It keeps that until it is switched off and on"
-        )
+        text = f"{module.name} reports: {module.fault}; it does until it is switched off and on"
         if module.kind is Kind.MUSCLE:
             text += f": myograft unplug {module.name} && myograft plug {module.name}"
         self._event("error", "fault", text, muscle=module.name, fault=module.fault)
