@@ -277,8 +277,7 @@ def report_text(report: Report) -> str:
         f"the recording has gaps, {_gaps(report.gaps)}: what was said there cannot be compared, "
         f"and is no fault of {report.process}": len(report.gaps),
         f"{report.unheard} messages that it took in did not reach the recorder": report.unheard,
-        f"{report.lost_steps} steps that it made did not, with what it took in for them, reach the "
-        f"recorder": report.lost_steps,
+        f"{report.lost_steps} of its steps are not on record, either": report.lost_steps,
         left_out: report.left_out,
     }
     return "\n".join([*lines, *(f"  {text}" for text, count in counts.items() if count)])
