@@ -224,6 +224,8 @@ class GrowthProgress:
     def see(self, message: Message) -> None:
         """Take in what comes by."""
         if isinstance(message, m.ExecutiveState) and message.growing:
+            if message.stage not in ("join", *STAGES):
+                return  # it waits for readings: no stage is over
             stage = self._stage = message.stage
             self._close({"relearn": ("collect", "relearn")}.get(stage, (stage,)))
             if stage not in ("collect", "relearn"):

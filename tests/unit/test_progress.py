@@ -26,6 +26,7 @@ def test_a_stage_of_growth_that_is_over_is_told_as_full() -> None:
     progress.see(in_stage("join", 0))
     progress.see(in_stage("collect", 0))
     progress.see(in_stage("collect", 6))
+    progress.see(in_stage("waiting", 6))
     progress.see(in_stage("relearn", 7))
     progress.see(trained(50))
     progress.see(in_stage("relearn", 9))
