@@ -13,6 +13,7 @@ from dashboard.photo import photograph
 from dashboard.viewer import Viewer, ViewerError, answers, has_display, open_view
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, UsageError
 from runtime.hubs import HubError, find_hub, robot_home
+from runtime.runs import unless_known
 
 PATIENCE_S = 10.0  # the group may just be starting
 
@@ -94,6 +95,8 @@ def find_sources(what: str = "") -> list[str]:
             return files
         if what and path.is_dir():
             return _recordings(path)
+        if hint := unless_known(what):
+            raise HubError(f"{what!r} is not running and has left no recording{hint}") from error
         raise HubError(f"{what!r} has left no recording, and {error}" if what else error) from error
     url = _live_address(Path(hub.run_dir), hub.robot)
     if not url:

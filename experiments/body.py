@@ -56,6 +56,9 @@ class Body:
         found = report(subject, geometry, args.postures, args.seed)
         print_body(subject, geometry, found)
         print_feasibility(found)
+        if subject.bare:
+            ceiling = f"{subject.control.tension_ceiling_n:g} N"
+            print(f"{ceiling} is any robot file's default; 'myograft new' proposes what this needs")
         if args.json:
             args.json.write_text(json.dumps(found, indent=2) + "\n")
         if found["cases"][0]["share"] < 1.0:
@@ -73,6 +76,7 @@ class Subject:
     joints: tuple[str, ...]  # (): all hinges
     spares: tuple[Spare, ...]
     control: Control
+    bare: bool = False  # no robot file says anything of it
 
     def geometry(self, spares: bool = False) -> Geometry:
         """Its wires, with or without the spare muscles."""
@@ -90,7 +94,7 @@ def _read(word: str) -> Subject:
     if path.suffix == ".xml":
         if not path.is_file():
             raise UsageError(f"{path}: no such file")
-        return Subject(path.stem, path, (), (), Control())
+        return Subject(path.stem, path, (), (), Control(), bare=True)
     try:
         robot = load_robot(word)
     except SettingsError as error:

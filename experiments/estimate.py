@@ -30,6 +30,7 @@ from experiments.watched import Watched, watch_task
 from runtime.cli.main import UsageError
 from runtime.hubs import state_home
 from runtime.settings import RobotSettings, load_robot
+from runtime.suggestion import suggestion
 from services.body_schema.schema import Schema
 from services.logic.relearning import by_wires
 from services.logic.wiring import served
@@ -83,7 +84,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Learn, watch every seed, tell; 1 if a task did not end. Ctrl-C tells what is there."""
     if args.robot not in SUBJECTS:
-        raise UsageError(f"'{args.robot}': there are {', '.join(SUBJECTS)}")
+        raise UsageError(f"no subject '{args.robot}'{suggestion(args.robot, SUBJECTS)}")
     if args.seeds < 1 or args.seed < 0:
         raise UsageError("--seeds is from 1, --seed from 0 on")
     settings = load_robot(args.robot)

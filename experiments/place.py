@@ -31,6 +31,7 @@ from experiments.feasibility import (
 )
 from hardware_sim.geometry import Geometry
 from runtime.settings import RobotSettings, load_robot
+from runtime.suggestion import suggestion
 
 POSTURES = 160
 UNCARRIED_N_NM2 = 5e4  # price of torque that nothing carries: 0.02 Nm costs 10 N
@@ -108,7 +109,7 @@ class Search:
         wires = dict(zip(self._geometry.wires, self._geometry.wire_sites, strict=True))
         for name in keep:
             if name not in wires:
-                raise ValueError(f"no wire '{name}'; there are: {', '.join(wires)}")
+                raise ValueError(f"no wire '{name}'{suggestion(name, wires)}")
         drawn = {site: self._geometry.site_m(site) for wire in wires.values() for site in wire}
         # the right half of a body follows the left one
         self._mirrored = {site: _mirror_name(site) for site in drawn if _mirror_name(site) in drawn}

@@ -75,6 +75,8 @@ def bars() -> Iterator[Narrate]:
         """Rich's own looks back 30 s only, in which a long step does not end."""
 
         def render(self, task: Task) -> Text:
+            if task.finished:
+                return Text("done", style="progress.remaining")
             left_s = paces[task.description].left_s(int(task.total or 0), time.monotonic())
             return Text(f"{_clock(left_s)} left", style="progress.remaining")
 
@@ -93,6 +95,9 @@ def bars() -> Iterator[Narrate]:
             if title not in tasks:
                 paces[title] = Pace(step, now_s)
                 tasks[title] = progress.add_task(title, total=steps)
+            elif progress.tasks[tasks[title]].finished and step < steps:  # the same once more
+                paces[title] = Pace(step, now_s)
+                progress.reset(tasks[title])
             paces[title].see(step, now_s)
             progress.update(tasks[title], completed=step, total=steps)
 

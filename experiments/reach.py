@@ -15,6 +15,7 @@ from experiments.rig import Rig, RigTimeoutError
 from runtime import messages as m
 from runtime.messages import Message
 from runtime.settings import load_robot
+from runtime.suggestion import suggestion
 
 BEGIN_S = 0.5
 STAYS_S = 2.0  # a payload that was put down is watched for so long
@@ -62,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
     settings = load_robot(args.robot)
     task = next((task for task in settings.task if task.name == args.task), None)
     if task is None:
-        print(f"{settings.file}: no task '{args.task}'")
+        hint = suggestion(args.task, [row.name for row in settings.task])
+        print(f"{settings.file}: no task '{args.task}'{hint}")
         return 2
     rig, watch = Rig(settings, args.seed), Watch()
     rig.watchers.append(watch.see)

@@ -168,19 +168,20 @@ def score_task(session: Session, task: str, narrate: Narrate, title: str) -> Sco
         SessionError: it was refused, or did not end.
     """
     scorer = SweepScorer(session.settings, task)
-    steps = [0]
+    told = (0, 1)
 
     def watch(message: Message) -> None:
+        nonlocal told
         if not isinstance(message, m.ExecutiveState) or message.task != task:
             return
-        if message.step != steps[0]:
-            steps[0] = message.step
+        if message.step != told[0]:
+            told = (message.step, message.steps)
             narrate(title, message.step - 1, message.steps)
 
     session.watchers.append(watch)
     run_scored(session, scorer, task)
     session.watchers.remove(watch)
-    narrate(title, 1, 1)
+    narrate(title, told[1], told[1])
     return scorer.score
 
 
@@ -210,21 +211,43 @@ def _run_task(session: Session, task: str) -> Message:
 
 
 class GrowthProgress:
-    """Tells how far joining, collecting and relearning are."""
+    """Tells how far joining, collecting and relearning are; a stage that is over is told as full.
+
+    The last motions are collected while relearning goes on already.
+    """
 
     def __init__(self, narrate: Narrate) -> None:
         self._narrate = narrate
-        self._last: tuple[str, int] = ("", -1)
+        self._stage = ""
+        self._open: dict[str, tuple[int, int]] = {}  # title -> step and steps, as told
 
     def see(self, message: Message) -> None:
         """Take in what comes by."""
         if isinstance(message, m.ExecutiveState) and message.growing:
-            now = (message.stage, message.step)
-            if now != self._last and message.stage != "relearn":
-                self._narrate(*now, message.steps)
-            self._last = now
-        elif isinstance(message, m.TrainingProgress) and message.epochs:
-            self._narrate("relearn", message.epoch, message.epochs)
+            if message.stage not in ("join", *STAGES):
+                return  # it waits for readings: no stage is over
+            stage = self._stage = message.stage
+            self._close({"relearn": ("collect", "relearn")}.get(stage, (stage,)))
+            if stage not in ("collect", "relearn"):
+                self._tell(stage, 0, 1)
+            elif stage == "collect" or "collect" in self._open:
+                self._tell("collect", message.step, message.steps)
+        elif isinstance(message, m.TrainingProgress):
+            if self._stage == "relearn" and message.epochs:
+                self._tell("relearn", message.epoch, message.epochs)
+        elif isinstance(message, m.Event) and message.kind == "grow_done":
+            self._close()
+
+    def _tell(self, title: str, step: int, steps: int) -> None:
+        if self._open.get(title) != (step, steps):
+            self._open[title] = (step, steps)
+            self._narrate(title, step, steps)
+
+    def _close(self, but: tuple[str, ...] = ()) -> None:
+        for title in [title for title in self._open if title not in but]:
+            step, steps = self._open.pop(title)
+            if step < steps:
+                self._narrate(title, steps, steps)
 
 
 def _in_stage(stage: str) -> Callable[[Message], bool]:

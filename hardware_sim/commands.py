@@ -73,8 +73,9 @@ class Fault:
       corrupt   chain or module  probability that a byte on the line has a flipped bit
       drop      chain or module  probability that a packet is lost
       delay     chain or module  seconds that answers come late
-      cable     chain or module  pulled before this module: all behind it are silent; for a chain
-                                 the amount is how many modules are left
+      cable     chain or module  pulled before this module: it and all that hang behind it on the
+                                 chain are silent, whatever their ids (the robot's page draws them
+                                 in that order); for a chain the amount is how many are left
       stuck     muscle or joint  its load cell or angle sensor gives its last reading
       rupture   muscle           its wire is torn, until the muscle is unplugged and plugged in anew
       overheat  muscle           degC that its motor is hotter than its load makes it
@@ -103,10 +104,11 @@ class Fault:
             return with_robot(args.robot, _list_faults)
         if args.action == "mend":
             return request(args.robot, _mending(args.target))
-        if len(args.target) != 1:
-            raise UsageError(f"what shall have it? myograft fault {args.action} TARGET")
+        if len(args.target) > 1:
+            raise UsageError(f"one target at a time: myograft fault {args.action} TARGET")
         amount = _USUAL.get(args.action, 1.0) if args.amount is None else args.amount
-        return request(args.robot, m.Fault(kind=args.action, target=args.target[0], amount=amount))
+        target = args.target[0] if args.target else ""  # without one the world says what there is
+        return request(args.robot, m.Fault(kind=args.action, target=target, amount=amount))
 
 
 def _mending(words: list[str]) -> m.Fault:
@@ -125,6 +127,6 @@ def _list_faults(client: Client) -> int:
         for name, amount in reply.data.items():
             if name != "process":
                 kind, _, target = name.partition(" ")
-                print(f"{kind:<9} {target:<20} {amount}")
+                print(f"{kind:<9} {target:<20} {amount}".rstrip())
     quiet = [reply for reply in replies if reply.ok and not reply.text]
     return DONE if quiet else show(replies, question)

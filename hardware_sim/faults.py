@@ -5,7 +5,7 @@ Kinds, the target they name, and what their amount means:
     corrupt   chain or module  probability that a byte on the line has a flipped bit
     drop      chain or module  probability that a packet on the line is lost
     delay     chain or module  seconds that answers come late
-    cable     chain            modules before the place where the cable was pulled
+    cable     chain            modules left, before the place where the cable was pulled
               module           the cable just before this module was pulled
     stuck     muscle or joint  1: its load cell or angle sensor gives its last reading for ever
     rupture   muscle           1: its wire is torn; a new one comes with plugging it in anew
@@ -23,6 +23,12 @@ from typing import NamedTuple
 
 KINDS = ("corrupt", "drop", "delay", "cable", "stuck", "rupture", "overheat")
 LONGEST_DELAY_S = 1.0  # the line is in order: what was delayed goes before all that comes later
+UNITS = {  # of amounts; the other kinds' are all or nothing
+    "corrupt": "of the bytes",
+    "drop": "of the packets",
+    "delay": "s late",
+    "overheat": "degC hotter",
+}
 _MOST = {"corrupt": 1.0, "drop": 1.0, "delay": LONGEST_DELAY_S}
 
 

@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware_sim.chain import Chain
-from hardware_sim.faults import Faults
+from hardware_sim.faults import UNITS, ActiveFault, Faults
 from hardware_sim.firmware import JointModule, MuscleModule
 from hardware_sim.muscle_bank import MuscleBank
 from hardware_sim.plant import DT_S, Plant
 from hardware_sim.sensors import Sensors
 from runtime import messages as m
 from runtime.settings import RobotSettings
+from runtime.suggestion import suggestion
 
 Array = NDArray[np.float64]
 
@@ -98,17 +99,15 @@ class SimulatedRobot:
         spare = next((s for s in self.settings.spare if s.name == name), None)
         path = request.path or (shelved.path if shelved else spare.path if spare else None)
         if path is None:
-            known = _list([s.name for s in self.settings.spare]) or "none"
-            raise PlugError(
-                f"no spare '{name}' in the robot file (spares: {known}); give a path with --path"
-            )
+            hint = suggestion(name, {s.name for s in self.settings.spare} | self._shelf.keys())
+            raise PlugError(f"no spare '{name}' in the robot file, and no path by --path{hint}")
         chain = (
             request.chain
             or (shelved.chain if shelved else spare.chain if spare else "")
             or next(iter(self.chains))
         )
         if chain not in self.chains:
-            raise PlugError(f"no chain '{chain}'; there are: {_list(self.chains)}")
+            raise PlugError(f"no chain '{chain}'{suggestion(chain, self.chains)}")
         try:
             self.plant.add_muscle(name, path)
         except ValueError as error:
@@ -143,8 +142,8 @@ class SimulatedRobot:
         """
         name = request.muscle
         if name not in self._modules:
-            known = _list(self._modules)
-            raise PlugError(f"no muscle '{name}' is plugged in; there are: {known}")
+            hint = suggestion(name, self._modules)
+            raise PlugError(f"no muscle '{name}' is plugged in{hint}")
         module = self._modules.pop(name)
         chain = self._chain_of.pop(name)
         self.chains[chain].unplug(module.serial)
@@ -182,7 +181,8 @@ class SimulatedRobot:
         if request.kind not in (*MUSCLE_FAULTS, "stuck"):
             targets += self.chains
         if name not in targets:
-            raise PlugError(f"nothing called '{name}' can have that; there are: {_list(targets)}")
+            what = f"nothing called '{name}' can have that" if name else "say what shall have it"
+            raise PlugError(f"{what}{suggestion(name, targets)}")
         try:
             self.faults.set(request.kind, name, request.amount)
         except ValueError as error:
@@ -191,7 +191,15 @@ class SimulatedRobot:
             self.plant.rupture(name)
         elif request.kind == "stuck":
             self._hold_readings()
-        return self._told_fault("warning", f"{request.kind} on '{name}', {request.amount:g}", name)
+        broken = ActiveFault(request.kind, name, request.amount)
+        text = ", ".join(filter(None, (f"{request.kind} on '{name}'", self.degree(broken))))
+        return self._told_fault("warning", text, name)
+
+    def degree(self, fault: ActiveFault) -> str:
+        """How badly it is broken, in words; "" where the kind says it all."""
+        pulled = fault.kind == "cable" and fault.target in self.chains
+        unit = "modules left" if pulled else UNITS.get(fault.kind, "")
+        return f"{fault.amount:g} {unit}" if unit else ""
 
     def _mend(self, request: m.Fault) -> m.Event:
         """Mend all that is asked for but torn wires, which a hand has to lead anew."""
@@ -207,6 +215,9 @@ class SimulatedRobot:
             self.faults.clear(fault.kind, fault.target)
         self._hold_readings()
         text = _list(f"{fault.kind} on '{fault.target}'" for fault in mended)
+        for name in dict.fromkeys(fault.target for fault in mended):
+            if name in self._modules and self._modules[name].alert:
+                text += f"; '{name}' reports its error until it is unplugged and plugged in"
         return self._told_fault("info", f"mended: {text}", request.target)
 
     def _hold_readings(self) -> None:

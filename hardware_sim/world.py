@@ -210,7 +210,8 @@ class World:
 
     def _faults(self) -> Reply:
         broken = {
-            f"{kind} {name}": f"{amount:g}" for kind, name, amount in self.robot.faults.active
+            f"{fault.kind} {fault.target}": self.robot.degree(fault)
+            for fault in self.robot.faults.active
         }
         return Reply(ok=True, text="" if broken else "nothing is broken", data=broken)
 

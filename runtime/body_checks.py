@@ -12,7 +12,8 @@ from runtime.body_names import BodyError, BodyNames, read_body
 from runtime.coordinates import AXES, parts
 from runtime.messages import MusclePath, Place
 from runtime.settings import RobotSettings
-from runtime.settings_file import Mistake, close_file, shown, suggestion
+from runtime.settings_file import Mistake, close_file, shown
+from runtime.suggestion import suggestion
 from runtime.toml_lines import KeyPath
 
 

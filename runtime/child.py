@@ -23,6 +23,8 @@ _ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONFAULTHANDLER": "1",
     "PYTHONUNBUFFERED": "1",
+    # Rerun would warn in each run that its file has no footer: dashboard/sinks.py wants none.
+    "RUST_LOG": "warn,re_log_encoding::rrd::file_sink=error",
 }
 _UNHURRIED = {
     # Zenoh reads the network with two threads that wake each other: one does.

@@ -19,6 +19,8 @@ from typing import BinaryIO
 
 import msgspec
 
+from runtime.suggestion import meant
+
 ENDPOINT_VARIABLE = "MYOGRAFT_ENDPOINT"
 OWN_PORTS = (20_000, 32_768)
 
@@ -168,7 +170,8 @@ def find_hub(robot: str = "") -> Hub:
     if not hubs:
         raise HubError("no robot is running. Start one with: myograft up elbow")
     if not named:
-        raise HubError(f"{robot!r} is not running. Running: {names}")
+        hint = meant(robot, (hub.robot for hub in hubs))
+        raise HubError(f"{robot!r} is not running{hint or '.'} Running: {names}")
     if len(named) > 1:
         raise HubError(f"several robots are running ({names}): choose one with --robot NAME")
     return named[0]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from runtime.backoff import Restart
 from runtime.settings import RobotSettings
+from runtime.suggestion import meant
 
 # Nice level of who only looks on or learns: of a processor that control keeps busy they get a
 # quarter. At 10 it is a tenth, and relearning starves on a robot that keeps two processors busy.
@@ -63,5 +64,6 @@ def chosen(specs: tuple[Spec, ...], only: tuple[str, ...]) -> tuple[Spec, ...]:
     names = [spec.process for spec in specs]
     unknown = [name for name in only if name not in names]
     if unknown:
-        raise ValueError(f"no process {unknown[0]!r}: this robot has {', '.join(names)}")
+        hint = meant(unknown[0], names) or "."
+        raise ValueError(f"no process {unknown[0]!r}{hint} This robot has {', '.join(names)}")
     return tuple(spec for spec in specs if not only or spec.process in only)

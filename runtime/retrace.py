@@ -2,7 +2,12 @@
 
 The logic gets what the process took in, in that order, and acts when it acted (`Steps`), on the
 recorded robot time. What it then says must be, to the last bit, what was recorded: a difference is
-a change of the code, or something that the recording lacks, which the report counts.
+a change of the code, or of the robot file.
+
+Where the recording lacks what the process took in or when it acted, there is a gap, and what the
+logic says there says nothing about the code. A gap ends once nothing has been lacking for a tenth
+of a second and the logic speaks again at the robot time at which the process spoke, or when the
+process was started anew. What was recorded meanwhile is left out.
 
 A process can be retraced if its logic is built from the robot's settings alone, hears topics only
 and answers no requests; the table `myograft.logics` of pyproject.toml names these.
@@ -26,6 +31,7 @@ from runtime.settings import RobotSettings
 
 ENTRY_POINTS = "myograft.logics"
 LATE_NS = 100_000_000  # an output's stamp may be so much older than the step that gave it
+ONE_GAP_NS = 1_000_000_000  # what is lacking within this is one gap
 KEPT = 4096  # messages of one key that may still be taken in: seconds more than a mailbox holds
 
 log = logging.getLogger(__name__)
@@ -48,6 +54,15 @@ class Difference(NamedTuple):
 
 
 @dataclass
+class Gap:
+    """Robot time from the first to the last thing in it that the recording lacks."""
+
+    begin_ns: int
+    end_ns: int
+    until_ns: float = math.inf  # from here on outputs are compared again
+
+
+@dataclass
 class Report:
     """What came of it."""
 
@@ -58,20 +73,23 @@ class Report:
     compared: int = 0
     equal: int = 0
     differences: dict[str, Difference] = field(default_factory=dict)  # `JointEstimate.angle_rad`
-    silent: int = 0  # recorded, but not said again
-    invented: int = 0  # said, but not recorded
+    silent: int = 0  # recorded, but not said again, outside of gaps
+    invented: int = 0  # said, but not recorded, outside of gaps
+    gaps: list[Gap] = field(default_factory=list)
     unheard: int = 0  # taken in by the process, but not recorded
     lost_steps: int = 0  # steps that were not recorded
-    untold: int = 0  # recorded outputs of steps that were not
+    left_out: int = 0  # recorded outputs in gaps
+    untold: int = 0  # recorded outputs after the last steps of which the process told
+    started_ns: list[int] = field(default_factory=list)  # when the process was started anew
 
     @property
     def exact(self) -> bool:
-        """Everything recorded was said again, bit for bit, and nothing else."""
+        """Outside of gaps everything recorded was said again, bit for bit, and nothing else."""
         return self.compared > 0 and self.equal == self.compared and not self.odd
 
     @property
     def odd(self) -> int:
-        """Outputs that only one side has."""
+        """Outputs that only one side has, though the recording lacks nothing there."""
         return self.silent + self.invented
 
     def within(self, tolerance: float) -> bool:
@@ -107,8 +125,10 @@ class _Tracer:
         self._due: Steps | None = None
         self._next = 0  # how many steps of this start of the process are known
         self._spans: list[tuple[int, int]] = []  # robot time of which all steps are known
+        self._astray = False  # in a gap, or not yet found back from one
         self._inputs: dict[str, dict[int, Message]] = {}
-        self._outputs: dict[Output, Message] = {}
+        self._outputs: dict[Output, Message] = {}  # recorded, not said yet
+        self._said: dict[Output, Message] = {}  # said, not recorded yet: it may be written late
 
     def take(self, entry: Entry) -> None:
         _, key, message = entry
@@ -118,7 +138,7 @@ class _Tracer:
                 self._walk()
                 self._due = message
         elif type(message) in self._logic.outputs:
-            self._outputs[type(message).__name__, message.stamp_ns] = message
+            self._take_output((type(message).__name__, message.stamp_ns), message)
         elif type(message) in self._logic.inputs:
             kept = self._inputs.setdefault(key.partition("/")[2], {})
             kept[message.stamp_ns] = message
@@ -128,21 +148,41 @@ class _Tracer:
     def finish(self) -> Report:
         self._walk()
         report = self._report
+        report.invented = sum(not self._in_gap(stamp_ns) for _, stamp_ns in self._said)
         for _, stamp_ns in self._outputs:
-            told = any(begin <= stamp_ns < end - LATE_NS for begin, end in self._spans)
-            report.silent += told
-            report.untold += not told
+            if self._in_gap(stamp_ns):
+                report.left_out += 1
+            elif any(begin <= stamp_ns < end - LATE_NS for begin, end in self._spans):
+                report.silent += 1
+            else:
+                report.untold += 1
         return report
+
+    def _take_output(self, output: Output, recorded: Message) -> None:
+        said = self._said.pop(output, None)
+        if said is None:
+            self._outputs[output] = recorded
+        elif self._in_gap(recorded.stamp_ns):
+            self._report.left_out += 1
+        else:
+            self._compare(said, recorded)
+
+    def _in_gap(self, stamp_ns: int) -> bool:
+        return any(x.begin_ns - LATE_NS <= stamp_ns < x.until_ns for x in self._report.gaps)
 
     def _walk(self) -> None:
         steps, self._due = self._due, None
         if steps is None:
             return
         report = self._report
+        begin_ns, end_ns = steps.tick_ns[0], steps.tick_ns[-1]
         if steps.begin < self._next:  # the process was started anew
             self._logic = self._make()
             self._next = 0
-        begin_ns, end_ns = steps.tick_ns[0], steps.tick_ns[-1]
+            self._found_back(begin_ns)
+            report.started_ns.append(begin_ns)
+        if steps.begin > self._next:
+            self._lack(report.end_ns or begin_ns, begin_ns)
         if self._spans and steps.begin and steps.begin == self._next:
             begin_ns = self._spans.pop()[0]
         self._spans.append((begin_ns, end_ns))
@@ -158,25 +198,44 @@ class _Tracer:
                 self._receive(steps.keys[place], stamp_ns, now_ns)
             for said in self._logic.tick(now_ns):
                 if type(said) in self._logic.outputs:
-                    self._compare(said)
+                    self._hear(said, now_ns)
 
     def _receive(self, key: str, stamp_ns: int, now_ns: int) -> None:
         message = self._inputs.get(key, {}).get(stamp_ns)
         if message is None:
             self._report.unheard += 1
+            self._lack(now_ns, now_ns)
             return
         try:
             self._logic.receive(message, now_ns)
         except Exception as error:  # as in the live loop, it costs this message
             log.warning("%s could not take %s: %r", self._report.process, key, error)
 
-    def _compare(self, said: Message) -> None:
-        kind = type(said).__name__
-        recorded = self._outputs.pop((kind, said.stamp_ns), None)
-        report = self._report
+    def _lack(self, begin_ns: int, end_ns: int) -> None:
+        gaps, self._astray = self._report.gaps, True
+        if gaps and begin_ns - gaps[-1].end_ns <= ONE_GAP_NS:
+            gaps[-1].end_ns, gaps[-1].until_ns = end_ns, math.inf
+        else:
+            gaps.append(Gap(begin_ns, end_ns))
+
+    def _found_back(self, now_ns: int) -> None:
+        if self._astray:
+            self._astray = False
+            self._report.gaps[-1].until_ns = now_ns
+
+    def _hear(self, said: Message, now_ns: int) -> None:
+        output = (type(said).__name__, said.stamp_ns)
+        recorded = self._outputs.pop(output, None)
         if recorded is None:
-            report.invented += 1
-            return
+            self._said[output] = said
+        elif self._astray and now_ns - self._report.gaps[-1].end_ns <= LATE_NS:
+            self._report.left_out += 1
+        else:
+            self._found_back(said.stamp_ns)
+            self._compare(said, recorded)
+
+    def _compare(self, said: Message, recorded: Message) -> None:
+        kind, report = type(said).__name__, self._report
         report.compared += 1
         off = {
             name: distance

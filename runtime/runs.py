@@ -11,6 +11,7 @@ from runtime.envelope import encode
 from runtime.hubs import HubError, find_hub, robot_home, state_home
 from runtime.journal import About, Entry, about, read
 from runtime.messages import Message
+from runtime.suggestion import meant
 from runtime.topics import BY_TYPE, Keep
 
 RECORDINGS = "messages*.mcap"
@@ -46,8 +47,14 @@ def find_run(what: str = "", holding: str = "*") -> Path:
     whose = f"of {what!r}" if what else "of any robot"
     raise RunError(
         f"no run {whose} in {state_home()} has left {holding}: give a robot's name, a run's folder "
-        f"or a recording"
+        f"or a recording{unless_known(what)}"
     )
+
+
+def unless_known(robot: str) -> str:
+    """`; did you mean 'elbow'?` of a name under which nobody has run here."""
+    ran = {path.parent.name for path in state_home().glob("*/runs")}
+    return "" if robot in ran else meant(robot, ran)
 
 
 def recordings(what: str = "") -> list[Path]:

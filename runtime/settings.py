@@ -15,6 +15,7 @@ import msgspec
 from runtime.messages import MusclePath
 from runtime.settings_file import SettingsError as SettingsError
 from runtime.settings_file import located, read_toml
+from runtime.suggestion import meant
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -236,6 +237,12 @@ def load_robot(name_or_path: str, name: str = "") -> RobotSettings:
     from runtime.settings_checks import robot_mistakes  # here, because it knows the types above
 
     path = find_robot_file(name_or_path)
+    if path != Path(name_or_path) and not path.exists():
+        shipped = sorted(file.stem for file in ROBOTS.glob("*.toml"))
+        raise SettingsError(
+            f"no robot '{name_or_path}'{meant(name_or_path, shipped) or '.'} "
+            f"There is: {', '.join(shipped)}, or the path of a robot file"
+        )
     settings = read_toml(path, RobotSettings, others=ROBOTS.glob("*.toml"))
     settings = msgspec.structs.replace(settings, file=str(path.resolve()))
     if name:

@@ -14,7 +14,8 @@ from typing import NamedTuple
 from runtime.body_checks import body_mistakes
 from runtime.messages import METHODS
 from runtime.settings import Joint, Muscle, RobotSettings, Spare, TaskPath
-from runtime.settings_file import Mistake, suggestion
+from runtime.settings_file import Mistake
+from runtime.suggestion import suggestion
 from runtime.toml_lines import KeyPath
 from runtime.wire.registers import BAUD_RATES, BY_NAME
 

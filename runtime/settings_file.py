@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar, get_args
 
 import msgspec
 
+from runtime.suggestion import suggestion
 from runtime.toml_lines import KeyPath, line_of, locate
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -51,16 +52,6 @@ def shown(path: Path) -> str:
     """The path as a person would type it here."""
     path, here = path.resolve(), Path.cwd()
     return str(path.relative_to(here) if path.is_relative_to(here) else path)
-
-
-def suggestion(word: str, known: Iterable[str]) -> str:
-    """`; did you mean 'biceps_1'?`, or what there is to choose from."""
-    names = sorted(known)
-    close = difflib.get_close_matches(word, names, n=1)
-    if close:
-        return f"; did you mean '{close[0]}'?"
-    few = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
-    return f"; there is {few}" if names else "; there is none"
 
 
 def close_file(path: Path, others: Iterable[Path]) -> str:

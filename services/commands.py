@@ -18,7 +18,7 @@ from runtime.cli.client import (
 from runtime.cli.completion import completed_by, named
 from runtime.cli.main import DONE, REFUSED, USAGE
 from runtime.messages import Message
-from runtime.settings_file import suggestion
+from runtime.suggestion import suggestion
 
 STOP_PATIENCE_S = 10.0
 LISTEN_S = 2.0  # drivers tell once a second who is on their chains

@@ -20,6 +20,7 @@ PURPOSES = {
     "learn": "to plan motions and relearn the body schema",
     "view": "to see the robot (Rerun) and plot",
     "web": "to see and move the robot from a web page",
+    "cluster": "to spread experiments over several hosts (Dask)",
     "dev": "to work on the code",
 }
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from runtime.cli.completion import completed_by, robots
 from runtime.cli.main import DONE, REFUSED, UsageError
 from runtime.runs import RunError, find_run
+from runtime.suggestion import suggestion
 
 LOOK_S = 0.2  # between two looks when following
 _TIME = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)[,.](\d{3})")
@@ -110,7 +111,7 @@ def _open(run: Path, wanted: list[str], besides: dict[str, _Log] | None = None) 
             raise RunError(f"no logs in {run}")
         unknown = [name for name in wanted if name not in paths]
         if unknown:
-            raise UsageError(f"no log of {unknown[0]!r} in {run}; there is {', '.join(paths)}")
+            raise UsageError(f"no log of {unknown[0]!r} in {run}{suggestion(unknown[0], paths)}")
     return {
         name: _Log(path)
         for name, path in paths.items()

@@ -187,11 +187,9 @@ def _docstrings(module: str) -> dict[str, str]:
 
 
 def _unknown(word: str, names: list[str]) -> str:
-    import difflib
+    from runtime.suggestion import meant
 
-    near = difflib.get_close_matches(word, names, n=1)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
-    return f"myograft: no command {word!r}.{hint} `myograft --help` lists them."
+    return f"myograft: no command {word!r}{meant(word, names) or '.'} `myograft --help` lists them."
 
 
 if __name__ == "__main__":  # by its own name: commands raise the UsageError of that module

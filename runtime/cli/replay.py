@@ -24,12 +24,14 @@ from runtime.journal import About, JournalError
 from runtime.manifest import Spec, can_view
 from runtime.messages import Presence
 from runtime.player import Played, Player, kinds_played
-from runtime.retrace import Report, logics, retrace
+from runtime.retrace import Gap, Report, logics, retrace
 from runtime.runs import RunError, about_all, read_all, recordings
 from runtime.settings import RobotSettings, SettingsError, load_robot
 from runtime.settings_checks import NAME
+from runtime.suggestion import suggestion
 
 PICTURE_S = 60.0  # wall time that the picture may take to come up
+LONGEST = 8  # gaps that a line lists
 
 
 class Replay:
@@ -42,7 +44,11 @@ class Replay:
     A robot of that name must not be running; --robot plays it under another one.
 
     --check feeds a process's logic what it took in, at the robot times at which it acted, and
-    compares what it says with what it said: the greatest difference of each field.
+    compares what it says with what it said: the greatest difference of each field. Which
+    processes can be checked stands in the table `myograft.logics` of pyproject.toml. Exit code 1:
+    an output differs by more than --tolerance, or only one side has it. Gaps in the recording (a
+    recorder that was dead or did not hear the process) are told, and what was said in them is left
+    out: they are no fault of the process, and no error, unless nothing is left to compare.
 
     Examples:
       myograft replay elbow
@@ -233,7 +239,7 @@ class _Progress:
 def _check(args: argparse.Namespace, files: list[Path], about: About) -> int:
     known = logics()
     if args.check not in known:
-        raise UsageError(f"{args.check!r} cannot be checked; there is: {', '.join(known)}")
+        raise UsageError(f"{args.check!r} cannot be checked{suggestion(args.check, known)}")
     try:
         settings = _settings(args, about)
     except SettingsError as error:
@@ -250,19 +256,39 @@ def report_text(report: Report) -> str:
     lines = [
         f"{report.process}: {report.steps} steps from {report.begin_ns * 1e-9:.3f} s to "
         f"{report.end_ns * 1e-9:.3f} s of robot time",
-        f"{report.equal} of {report.compared} outputs are what was recorded, to the last bit",
+        f"{report.equal} of {report.compared} outputs are what was recorded, to the last bit"
+        if report.compared
+        else "no output is left to compare",
     ]
     for name, row in sorted(report.differences.items()):
         what = "not comparable" if math.isinf(row.greatest) else f"up to {row.greatest:.3g}"
         lines.append(
             f"  {name:<36} {what}, at {row.stamp_ns * 1e-9:.3f} s; differs in {row.messages}"
         )
-    lacks = {
-        "recorded outputs it does not give again": report.silent,
-        "outputs that are not on record": report.invented,
-        "messages it took in that are not on record": report.unheard,
-        "steps that are not on record": report.lost_steps,
-        "recorded outputs of steps that are not on record": report.untold,
+    changed = "though the recording lacks nothing there: the code, or the robot file, has changed"
+    started = ", ".join(f"{at_ns * 1e-9:.1f}" for at_ns in report.started_ns)
+    left_out = f"{report.left_out} recorded outputs in gaps are left out"
+    counts = {
+        f"{report.silent} recorded outputs it does not give again, {changed}": report.silent,
+        f"{report.invented} outputs that are not on record, {changed}": report.invented,
+        f"the process was started anew at {started} s": len(report.started_ns),
+        f"{report.untold} recorded outputs of its last moments are left out: it was ended, or the "
+        f"recording was, before it told what it took in for them": report.untold,
+        f"the recording has gaps, {_gaps(report.gaps)}: what was said there cannot be compared, "
+        f"and is no fault of {report.process}": len(report.gaps),
+        f"{report.unheard} messages that it took in did not reach the recorder": report.unheard,
+        f"{report.lost_steps} of its steps are not on record, either": report.lost_steps,
+        left_out: report.left_out,
     }
-    lines += [f"  {count} {what}" for what, count in lacks.items() if count]
-    return "\n".join(lines)
+    return "\n".join([*lines, *(f"  {text}" for text, count in counts.items() if count)])
+
+
+def _gaps(gaps: list[Gap]) -> str:
+    """`36.1-72.2 s, 258.6-446.6 s and 4 shorter ones`."""
+    longest = sorted(gaps, key=lambda gap: gap.begin_ns - gap.end_ns)[:LONGEST]
+    words = []
+    for gap in sorted(longest, key=lambda gap: gap.begin_ns):
+        begin, end = (f"{at_ns * 1e-9:.1f}" for at_ns in (gap.begin_ns, gap.end_ns))
+        words.append(f"{begin} s" if begin == end else f"{begin}-{end} s")
+    shorter = len(gaps) - len(words)
+    return ", ".join(words) + (f" and {shorter} shorter ones" if shorter else "")

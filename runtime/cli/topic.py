@@ -17,6 +17,7 @@ from runtime.cli.completion import completed_by
 from runtime.cli.main import DONE, REFUSED, UsageError
 from runtime.envelope import EnvelopeError, decode, encoding_of
 from runtime.messages import Message
+from runtime.suggestion import meant
 from runtime.topics import BY_NAME, REQUESTS, TOPICS, key_pattern
 
 WAITING = 1024  # samples that wait to be shown
@@ -94,7 +95,8 @@ def _check(topic: str) -> None:
         )
     key = "/" in topic or "*" in topic or any(row.key == topic for row in TOPICS)
     if topic and not key and topic not in BY_NAME:
-        raise UsageError(f"no topic {topic!r}. See: myograft topic list")
+        hint = meant(topic, BY_NAME) or "."
+        raise UsageError(f"no topic {topic!r}{hint} See: myograft topic list")
 
 
 def _pattern(robot: str, topic: str) -> str:

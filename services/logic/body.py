@@ -169,7 +169,9 @@ class Body:
         if record.restarts > MAX_RESTARTS:
             memory.growth = None
             memory.refused.append(record.muscle)
-            self._tell("error", "growth_given_up", "growth failed twice: the arm holds")
+            again = self._again(record, gone=False)  # nobody has been heard yet
+            text = f"growth failed twice: the arm holds; {again}"
+            self._tell("error", "growth_given_up", text)
         else:
             self.growth = self._procedure(record)
             if record.kind == "shrink":
@@ -291,8 +293,26 @@ class Body:
                 text = f"the schema keeps '{name}' and the arm holds: {growth.over}"
             elif record.base_version == NONE:
                 text = f"no schema was learned and the arm holds: {growth.over}"
+            elif self._relearns(record):
+                text = f"the schema stays as it is and the arm holds: {growth.over}"
+            text += f"; {self._again(record, gone=self._is_gone(name))}"
             self._tell("error", f"{record.kind}_failed", text, muscle=name)
         self._notebook.save()
+
+    def _relearns(self, record: GrowthRecord) -> bool:
+        schema = self._arm.schema
+        return record.kind == "grow" and schema is not None and record.muscle in schema.muscles
+
+    def _again(self, record: GrowthRecord, *, gone: bool) -> str:
+        """How a person goes on when a growth was given up."""
+        name = record.muscle
+        if record.base_version == NONE:
+            return "the same 'myograft learn' tries again"
+        if self._relearns(record):
+            return "to try again: myograft schema relearn"
+        if gone:
+            return f"it counts again once it is back: myograft plug {name}"
+        return f"to try again: myograft unplug {name} && myograft plug {name}"
 
     def _take_schema(self, message: m.SchemaVersion) -> None:
         if message.version == self.schema_version and self._arm.schema is not None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import chain
 from math import isfinite
+from typing import NamedTuple
 
 from runtime.messages import ChainCommand
 
@@ -11,8 +13,24 @@ AUTHOR = "executive"
 STALE_NS = 100_000_000  # older, or further in the future, is refused
 MAX_LEASE_NS = 1_000_000_000  # nobody speaks for longer ahead
 MAX_TARGET_M = 100.0
+OFTEN = 100  # as many late commands are no hiccup any more: a second of them, at their usual rate
+_LATE = (
+    f"it is more than {STALE_NS / 1e6:.0f} ms old: the machine was too slow for a moment, or the "
+    f"clocks of two hosts differ; muscles go by the command before it, then hold"
+)
+_EARLY = (
+    f"its stamp is more than {STALE_NS / 1e6:.0f} ms in the future: the machine was too slow for "
+    f"a moment, or the clocks of two hosts differ"
+)
 
 Goals = dict[str, tuple[float, float, float]]  # muscle -> bias [N], stiffness [N/m], target [m]
+
+
+class Refusal(NamedTuple):
+    """What is told of a command that was not taken."""
+
+    level: str
+    text: str
 
 
 class CommandGate:
@@ -29,20 +47,28 @@ class CommandGate:
         self._chain = chain
         self._last_stamp_ns = -1
         self._new = False
-        self._told: set[tuple[str, str]] = set()
+        self._count: Counter[tuple[str, str]] = Counter()  # refused, by author and reason
 
-    def refusal(self, command: ChainCommand, now_ns: int) -> str:
-        """Take a command. Says why not, the first time for each author and reason; else ""."""
+    def refusal(self, command: ChainCommand, now_ns: int) -> Refusal | None:
+        """Take a command. Says why not, the first time for each author and reason; else None.
+
+        That one came late is worth a warning only once it has happened often.
+        """
         reason = self._judge(command, now_ns)
         if not reason:
             self.command, self._new = command, True
             self._last_stamp_ns = command.stamp_ns
-            return ""
+            return None
         self.refused += 1
-        if (command.author, reason) in self._told:
-            return ""
-        self._told.add((command.author, reason))
-        return f"a command of {command.author!r} for chain {self._chain} was refused: {reason}"
+        self._count[command.author, reason] += 1
+        times = self._count[command.author, reason]
+        late = reason in (_LATE, _EARLY)
+        text = f"of {command.author!r} for chain {self._chain} was refused: {reason}"
+        if times == 1:
+            return Refusal("info" if late else "warning", f"a command {text}")
+        if times == OFTEN and late:
+            return Refusal("warning", f"command number {OFTEN} {text}")
+        return None
 
     def expire(self, now_ns: int) -> bool:
         """True when the lease of the command in force has just run out."""
@@ -72,9 +98,9 @@ class CommandGate:
             return f"only {AUTHOR!r} commands muscles"
         age_ns = now_ns - command.stamp_ns
         if age_ns > STALE_NS:
-            return f"it is older than {STALE_NS / 1e6:.0f} ms"
+            return _LATE
         if age_ns < -STALE_NS:
-            return f"its stamp is more than {STALE_NS / 1e6:.0f} ms in the future"
+            return _EARLY
         if command.stamp_ns <= self._last_stamp_ns:
             return "a newer one came before it"
         if command.lease_ns <= 0 or age_ns > command.lease_ns:

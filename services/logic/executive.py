@@ -16,6 +16,7 @@ from runtime import messages as m
 from runtime.logic import Store
 from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings
+from runtime.suggestion import suggestion
 from services.body_schema.network import Array
 from services.logic.arm import AUTHOR, NO_SCHEMA, Arm
 from services.logic.body import Body
@@ -210,8 +211,8 @@ class Executive:
 
     def _start_task(self, name: str) -> Reply:
         if name not in self._tasks:
-            known = ", ".join([*self._tasks, "hold", "cancel"])
-            return Reply(ok=False, text=f"no task '{name}' in the robot file; there are: {known}")
+            hint = suggestion(name, {*self._tasks, "hold", "cancel"})
+            return Reply(ok=False, text=f"no task '{name}' in the robot file{hint}")
         if self.body.growth is not None and name != "park":
             return GROWING
         if name == "park":
@@ -235,8 +236,8 @@ class Executive:
         goal = list(self._memory.goal_rad or self.arm.reference_rad.tolist())
         for name, angle in request.angle_rad.items():
             if name not in self.settings.joints:
-                known = ", ".join(self.settings.joints)
-                return Reply(ok=False, text=f"no joint '{name}'; there are: {known}")
+                hint = suggestion(name, self.settings.joints)
+                return Reply(ok=False, text=f"no joint '{name}'{hint}")
             index = self.settings.joints.index(name)
             low, high = self.arm.skeleton.range_rad[index]
             if not low <= angle <= high:

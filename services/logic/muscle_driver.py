@@ -19,7 +19,7 @@ from runtime.messages import Message, Reply
 from runtime.settings import RobotSettings
 from runtime.wire import packet as wire
 from runtime.wire.packet import InstructionPacket
-from runtime.wire.registers import BY_NAME, GOAL_BLOCK, PRESENT_BLOCK, HardwareError, Status
+from runtime.wire.registers import BY_NAME, GOAL_BLOCK, PRESENT_BLOCK, HardwareError, Kind, Status
 from services.logic import sensing
 from services.logic.command_gate import CommandGate
 from services.logic.conversation import (
@@ -91,8 +91,9 @@ class MuscleDriver:
             if message.chain == self.chain:
                 self._line.receive(message)
         elif isinstance(message, m.ChainCommand):
-            if message.chain == self.chain and (why := self._gate.refusal(message, now_ns)):
-                self._event("warning", "command_refused", why, author=message.author)
+            if message.chain == self.chain and (refusal := self._gate.refusal(message, now_ns)):
+                level, why = refusal
+                self._event(level, "command_refused", why, author=message.author)
         elif isinstance(message, m.Event):
             self._reception.hear(message)
 
@@ -254,7 +255,9 @@ class MuscleDriver:
         bits = int((yield from read(module.id, "hardware_error")))
         words = [error.name.lower().replace("_", " ") for error in HardwareError if bits & error]
         module.state, module.fault = "fault", ", ".join(words) or f"hardware error {bits:#04x}"
-        text = f"{module.name} reports: {module.fault}"
+        text = f"{module.name} reports: {module.fault}; it does until it is switched off and on"
+        if module.kind is Kind.MUSCLE:
+            text += f": myograft unplug {module.name} && myograft plug {module.name}"
         self._event("error", "fault", text, muscle=module.name, fault=module.fault)
 
     def _identify(self, name: str) -> Reply:

@@ -240,6 +240,7 @@ def test_process_draws_dies_and_goes_on_in_a_new_file(hub: tuple[Bus, str], tmp_
     assert run_id == run_id_2 == "elbow-run-1", "both open as one run"
     assert rows["/muscle"] > 10
     assert more_rows["/muscle"] > 10
+    assert "write_footer" not in (tmp_path / "viz.log").read_text(), "it is meant to have none"
 
 
 @NEEDS_VULKAN

@@ -87,7 +87,7 @@ def test_what_is_watched_is_what_the_estimator_was_asked() -> None:
 def test_a_robot_or_a_recording_that_is_none_is_told_in_a_line(tmp_path: Path) -> None:
     parser = argparse.ArgumentParser()
     estimate.configure(parser)
-    with pytest.raises(UsageError, match="'hand': there are elbow, musashi_arm"):
+    with pytest.raises(UsageError, match="'hand'; there is elbow, musashi_arm"):
         estimate.run(parser.parse_args(["hand"]))
     bad = tmp_path / "bad.npz"
     bad.write_text("no recording")

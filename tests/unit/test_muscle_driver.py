@@ -11,6 +11,7 @@ from runtime import messages as m
 from runtime.logic import MemoryStore
 from runtime.wire import packet as wire
 from runtime.wire.registers import BY_NAME, Status
+from services.logic.command_gate import OFTEN
 from services.logic.muscle_driver import MuscleDriver
 from tests.unit.driver_bench import MS, PRELOAD_N, SETTINGS, Bench
 
@@ -109,7 +110,7 @@ def test_holds_when_the_lease_runs_out(bench: Bench) -> None:
     ("changes", "word"),
     [
         ({"author": "somebody"}, "only 'executive'"),
-        ({"stamp_ns": -150 * MS}, "older than 100 ms"),
+        ({"stamp_ns": -150 * MS}, "more than 100 ms old: the machine was too slow"),
         ({"stamp_ns": 150 * MS}, "in the future"),
         ({"stamp_ns": -20 * MS}, "newer"),
         ({"lease_ns": 0}, "lease"),
@@ -130,7 +131,19 @@ def test_refuses_and_says_so_once(bench: Bench, changes: dict[str, object], word
         bench.send(msgspec.structs.replace(command, **changes))
         bench.run(0.01)
     assert bench.felt("m2")[2] == target
-    assert word in bench.event("command_refused").text
+    event = bench.event("command_refused")
+    assert word in event.text
+    assert (event.level == "info") == ("stamp_ns" in changes and word != "newer")
+
+
+def test_many_late_commands_are_worth_a_warning(bench: Bench) -> None:
+    for _ in range(OFTEN):
+        late = bench.make_command(m2=(60.0, K, 0.0))
+        bench.send(msgspec.structs.replace(late, stamp_ns=bench.now_ns - 150 * MS))
+        bench.run(0.01)
+    told = [event for event in bench.events if event.kind == "command_refused"]
+    assert [event.level for event in told] == ["info", "warning"]
+    assert told[-1].text.startswith("command number 100 of 'executive'")
 
 
 def test_muscles_it_does_not_know_are_left_aside(bench: Bench) -> None:
@@ -286,6 +299,7 @@ def test_an_overheated_muscle_gives_up_tension_and_gets_it_back(bench: Bench) ->
     assert bench.felt("m2")[1] < 0.5 * SETTINGS.module.tension_limit_n
     fault = bench.event("fault")
     assert (fault.data["muscle"], fault.data["fault"]) == ("m2", "overheating")
+    assert fault.text.endswith("switched off and on: myograft unplug m2 && myograft plug m2")
     assert (bench.info("m2").state, bench.info("m2").fault) == ("fault", "overheating")
     assert "m2" in bench.states[-1].muscles
 

@@ -55,6 +55,19 @@ class Summing:
         )
 
 
+class Newest(Summing):
+    """Publishes the newest length alone, and nothing when there is none."""
+
+    def receive(self, message: Message, now_ns: int) -> None:
+        self.sum = 0.0
+        super().receive(message, now_ns)
+
+    def tick(self, now_ns: int) -> Iterable[Message]:
+        if self.sum:
+            yield from super().tick(now_ns)
+        self.sum = 0.0
+
+
 def state(stamp_ns: int, mode: str = "follow") -> m.ChainState:
     return m.ChainState(
         stamp_ns=stamp_ns,
@@ -68,12 +81,16 @@ def state(stamp_ns: int, mode: str = "follow") -> m.ChainState:
     )
 
 
-def recorded(starts: int = 1, heard: Callable[[int], bool] = lambda n: n % 3 > 0) -> list[Entry]:
+def recorded(
+    starts: int = 1,
+    heard: Callable[[int], bool] = lambda n: n % 3 > 0,
+    make: Callable[[], Summing] = Summing,
+) -> list[Entry]:
     """A live run as the recorder has it: each third state is overwritten before it is heard."""
     messages: list[Message] = []
     now_ns = 0
     for _ in range(starts):
-        logic, steps = Summing(), StepLog(ROBOT, "adder")
+        logic, steps = make(), StepLog(ROBOT, "adder")
         for n in range(RUN_NS // TICK_NS):
             now_ns += TICK_NS
             told = state(now_ns, "bad" if n == 7 else "follow")
@@ -162,9 +179,10 @@ def test_what_the_recording_lacks_is_counted() -> None:
 
     holed = check(without(entries, lambda x: isinstance(x, m.Steps) and 0 < x.begin < 150))
     assert holed.lost_steps == 100
-    assert holed.untold == 100
-    assert holed.silent == 0
+    assert 100 < holed.left_out < 130
+    assert (holed.silent, holed.untold) == (0, 0)
     assert not holed.exact, "its sum lacks what it heard meanwhile"
+    assert "the recording has gaps, 0.3-0.8 s" in report_text(holed)
 
     twice = recorded(2)
     starts = [
@@ -173,10 +191,36 @@ def test_what_the_recording_lacks_is_counted() -> None:
     anew = check([entry for n, entry in enumerate(twice) if n != starts[1]])
     assert anew.lost_steps > 0, "it was started anew, and the first of its steps are not on record"
     assert anew.silent == 0
+    assert anew.started_ns == [twice[starts[1]].message.stamp_ns + TICK_NS]
+    assert "the process was started anew at 1.3 s" in report_text(anew)
 
     nothing = check(without(entries, lambda x: isinstance(x, m.Steps)))
     assert not nothing.exact
     assert "not on record" in report_text(nothing)
+
+
+def test_gaps_are_no_fault_of_a_logic_that_forgets() -> None:
+    """The recorder heard nothing for a while, or did not hear who is listened to."""
+    entries = recorded(make=Newest)
+    for kinds in ((m.ChainState,), (m.ChainState, m.Steps, m.JointEstimate)):
+
+        def deaf(message: Message, kinds: tuple[type, ...] = kinds) -> bool:
+            return isinstance(message, kinds) and 0.3e9 < message.stamp_ns < 0.6e9
+
+        report = retrace("adder", Newest, without(entries, deaf))
+        assert report.exact and report.left_out > 0
+        (gap,) = report.gaps
+        assert gap.begin_ns == pytest.approx(0.3e9, abs=0.06e9)
+        assert gap.end_ns == pytest.approx(0.6e9, abs=0.26e9)
+        assert "the recording has gaps, 0.3-" in report_text(report)
+        changed = retrace("adder", lambda: Newest(1.1), without(entries, deaf))
+        assert not changed.exact
+
+
+def test_an_output_that_is_written_late_is_compared_all_the_same() -> None:
+    entries = recorded()
+    (first, *_) = (n for n, x in enumerate(entries) if isinstance(x.message, m.JointEstimate))
+    assert check([*entries[:first], *entries[first + 1 :], entries[first]]).exact
 
 
 def test_steps_that_do_not_fit_are_as_if_they_were_not_there() -> None:

@@ -127,8 +127,11 @@ def test_a_plug_may_name_chain_path_and_id(robot: SimulatedRobot) -> None:
     ("plug", "words"),
     [
         (m.Plug(muscle="flexor"), "muscle 'flexor' is plugged in already"),
-        (m.Plug(muscle="wing"), r"no spare 'wing' in the robot file \(spares: spare\); give a"),
-        (m.Plug(muscle="spare", chain="tail"), "no chain 'tail'; there are: near, far"),
+        (
+            m.Plug(muscle="wing"),
+            "no spare 'wing' in the robot file, and no path by --path; there is spare",
+        ),
+        (m.Plug(muscle="spare", chain="tail"), "no chain 'tail'; there is far, near"),
         (
             m.Plug(
                 muscle="spare",
@@ -153,7 +156,7 @@ def test_what_hands_cannot_do_is_said_and_changes_nothing(
 
 
 def test_nobody_can_unplug_what_is_not_there(robot: SimulatedRobot) -> None:
-    with pytest.raises(PlugError, match="no muscle 'spare' is plugged in; there are: flexor, ext"):
+    with pytest.raises(PlugError, match="no muscle 'spare' is plugged in; there is extensor, fl"):
         robot.unplug(m.Unplug(muscle="spare"))
 
 
@@ -203,11 +206,13 @@ def test_a_module_that_returns_has_its_serial_number_id_and_registers_but_not_it
 @pytest.mark.parametrize(
     ("kind", "target", "words"),
     [
-        ("rupture", "spare", "nothing called 'spare' can have that; there are: flexor, extensor"),
-        ("rupture", "near", "nothing called 'near' can have that; there are: flexor, extensor"),
+        ("rupture", "spare", "nothing called 'spare' can have that; there is extensor, flexor"),
+        ("rupture", "near", "nothing called 'near' can have that; there is extensor, flexor"),
+        ("rupture", "flexo", r"nothing called 'flexo' can have that; did you mean 'flexor'\?"),
+        ("rupture", "", "say what shall have it; there is extensor, flexor, long$"),
         ("overheat", "elbow", "nothing called 'elbow' can have that"),
-        ("stuck", "far", "nothing called 'far' can have that; there are: .*, elbow$"),
-        ("drop", "tail", "nothing called 'tail' can have that; there are: .*, far$"),
+        ("stuck", "far", "nothing called 'far' can have that; there is elbow, extensor"),
+        ("drop", "tail", "nothing called 'tail' can have that; there is elbow, extensor, far"),
         ("melt", "flexor", "no fault 'melt'; there are"),
         ("drop", "near", "drop cannot have the amount 2, but any from 0 to 1"),
         ("delay", "near", "delay cannot have the amount 2, but any from 0 to 1"),
@@ -238,12 +243,39 @@ def test_a_rupture_takes_the_tension_until_the_muscle_is_plugged_anew(
     assert robot.truth().tension_n[2] == pytest.approx(12.0, abs=2.0)
 
 
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (m.Fault(kind="rupture", target="flexor", amount=1.0), "rupture on 'flexor'"),
+        (m.Fault(kind="cable", target="flexor"), "cable on 'flexor'"),
+        (m.Fault(kind="cable", target="near", amount=1.0), "cable on 'near', 1 modules left"),
+        (m.Fault(kind="delay", target="near", amount=0.02), "delay on 'near', 0.02 s late"),
+        (
+            m.Fault(kind="overheat", target="flexor", amount=9),
+            "overheat on 'flexor', 9 degC hotter",
+        ),
+    ],
+)
+def test_a_fault_says_how_bad_it_is_where_that_means_something(
+    robot: SimulatedRobot, fault: m.Fault, words: str
+) -> None:
+    assert robot.fault(fault).text == words
+
+
 def test_an_overheated_motor_reports_it(robot: SimulatedRobot) -> None:
     robot.fault(m.Fault(kind="overheat", target="extensor", amount=70.0))
     run(robot, 10)
     assert read(robot, "near", 3, "motor_temperature") == pytest.approx(95.0, abs=1.0)
     assert int(read(robot, "near", 3, "hardware_error")) & HardwareError.OVERHEATING
     assert read(robot, "near", 2, "motor_temperature") == pytest.approx(25.0, abs=1.0)
+    text = mend(robot, target="extensor")
+    assert text.endswith("; 'extensor' reports its error until it is unplugged and plugged in")
+    run(robot, 100)
+    assert int(read(robot, "near", 3, "hardware_error")) & HardwareError.OVERHEATING
+    robot.unplug(m.Unplug(muscle="extensor"))
+    robot.plug(m.Plug(muscle="extensor"))
+    run(robot, 10)
+    assert read(robot, "near", 3, "hardware_error") == 0
 
 
 def test_stuck_sensors_give_their_last_reading_until_mended(robot: SimulatedRobot) -> None:

@@ -84,6 +84,9 @@ def test_what_is_not_there_is_told(tmp_path: Path) -> None:
         recordings()
     with pytest.raises(RunError, match="no run of 'elbow'"):
         find_run("elbow")
+    new_run_dir("elbow")
+    with pytest.raises(RunError, match=r"no run of 'elbo' .*; did you mean 'elbow'\?$"):
+        recordings("elbo")
     for odd in (str(tmp_path / "nope"), "a**b"):
         with pytest.raises(RunError, match="no run of"):
             find_run(odd)

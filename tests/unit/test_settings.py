@@ -275,8 +275,11 @@ def test_shipped_robot_is_right(file: Path) -> None:
 def test_missing_file_suggests_one_that_ships(folder: Path) -> None:
     with pytest.raises(SettingsError, match=r"^elbo\.toml: no such file; did you mean .*elbow"):
         load_robot("elbo.toml")
-    with pytest.raises(SettingsError, match=r"elbo\.toml: no such file; did you mean .*elbow"):
+    shipped = r"There is: elbow, musashi_arm, musashi_w, or the path of a robot file$"
+    with pytest.raises(SettingsError, match=rf"^no robot 'elbo'; did you mean 'elbow'\? {shipped}"):
         load_robot("elbo")
+    with pytest.raises(SettingsError, match=rf"^no robot 'spider'\. {shipped}"):
+        load_robot("spider")
 
 
 def test_unreadable_files(folder: Path) -> None:

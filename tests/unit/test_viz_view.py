@@ -76,6 +76,11 @@ def test_view_says_what_is_missing(no_robot: Path) -> None:
         find_sources("elbow")
     with pytest.raises(HubError, match="no robot is running"):
         find_sources()
+    (no_robot / "elbow" / "runs" / "1").mkdir(parents=True)
+    with pytest.raises(
+        HubError, match=r"'elbo' is not running and has left no .*; did you mean 'elbow'\?$"
+    ):
+        find_sources("elbo")
     with pytest.raises(ViewerError, match=r"no recording nowhere\.rrd"):
         find_sources("nowhere.rrd")
     (no_robot / "empty").mkdir(parents=True)

@@ -287,7 +287,7 @@ def test_what_is_broken_is_listed(live: Live) -> None:
     assert live.world.answer(m.Fault(action="list")).text == "nothing is broken"
     live.world.answer(m.Fault(kind="drop", target="far", amount=0.5))
     listed = live.world.answer(m.Fault(action="list"))
-    assert listed.ok and listed.data == {"drop far": "0.5"}
+    assert listed.ok and listed.data == {"drop far": "0.5 of the packets"}
 
 
 # ── comeback ──────────────────────────────────────────────────────────────────────────────────
