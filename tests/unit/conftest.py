@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from runtime.settings import RobotSettings, load_robot
+from tests.unit.driver_bench import Bench
 from tests.unit.paper_canvas import PaperCanvas
 
 
@@ -18,3 +19,12 @@ def settings() -> RobotSettings:
 def canvas() -> PaperCanvas:
     """It only remembers what was drawn on it."""
     return PaperCanvas()
+
+
+@pytest.fixture
+def bench() -> Bench:
+    """A driver that has met its modules."""
+    bench = Bench()
+    bench.run(0.3)
+    assert bench.events == []
+    return bench

@@ -13,13 +13,6 @@ from runtime.logic import MemoryStore
 from tests.unit.driver_bench import MS, SETTINGS, Bench
 
 
-@pytest.fixture
-def bench() -> Bench:
-    bench = Bench()
-    bench.run(0.3)
-    return bench
-
-
 def plug_m4(bench: Bench, **options: float) -> None:
     bench.plug("m4", 777, **options)  # type: ignore[arg-type]
     bench.announce("m4", 777)
