@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from runtime.backoff import Backoff, BackoffPolicy, Restart
-from runtime.manifest import Spec
+from runtime.manifest import Spec, declared
 from runtime.messages import ProcessRow
 from runtime.priority import step_back
 
@@ -23,6 +23,7 @@ _ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONFAULTHANDLER": "1",
     "PYTHONUNBUFFERED": "1",
+    "MUJOCO_GL": "disable",  # nobody draws by it: else it looks for a window system, 0.05 s each
     # Rerun would warn in each run that its file has no footer: dashboard/sinks.py wants none.
     "RUST_LOG": "warn,re_log_encoding::rrd::file_sink=error",
 }
@@ -83,9 +84,11 @@ class Child:
         self._process = spawn(self.spec, self._arguments, self.log_file)
         self._waiter = threading.Thread(target=self._wait, args=(self._process,), daemon=True)
         self._waiter.start()
+        if self.restarts or not self.spec.awaited:
+            self._step_back()
 
     def became_ready(self) -> None:
-        """Take note of its liveliness token; from now on it has its priority."""
+        """Take note of its liveliness token; from now on at the latest it has its priority."""
         self.state = "ready"
         self._step_back()
 
@@ -114,7 +117,6 @@ class Child:
             return False
         self.restarts += 1
         self.start()
-        self._step_back()  # the robot moves; at the first start everybody is waited for
         return True
 
     def terminate(self, patience_s: float) -> None:
@@ -141,7 +143,7 @@ class Child:
 
 def spawn(spec: Spec, arguments: list[str], log_file: Path) -> subprocess.Popen[bytes]:
     """Start a process once; what it writes is appended to `log_file`."""
-    entry = ["--entry", spec.entry] if spec.entry else []
+    entry = ["--entry", spec.entry or declared(spec.process)]
     unhurried = _UNHURRIED if spec.nice else {}
     with log_file.open("ab") as output:
         process = subprocess.Popen(

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 from dataclasses import dataclass
+from functools import cache
 
 from runtime.backoff import Restart
 from runtime.settings import RobotSettings
 from runtime.suggestion import meant
+
+ENTRY_POINTS = "myograft.processes"
 
 # Nice level of who only looks on or learns: of a processor that control keeps busy they get a
 # quarter. At 10 it is a tenth, and relearning starves on a robot that keeps two processors busy.
@@ -21,7 +24,30 @@ class Spec:
     process: str  # also the entry point's name, up to a `-`
     restart: Restart = Restart.ALWAYS
     nice: int = 0  # see priority.py
+    awaited: bool = False  # somebody waits for it at the start: it steps back once it is ready
     entry: str = ""  # `module:function`, where it is not the entry point of that name
+
+
+def declared(process: str) -> str:
+    """Where `driver-arm` begins, by the entry point `driver`: `module:function`.
+
+    Raises:
+        LookupError: no entry point has that name.
+    """
+    kind = process.partition("-")[0]
+    try:
+        return _declared()[kind]
+    except KeyError:
+        raise LookupError(
+            f"no process is called {kind!r} in the entry points {ENTRY_POINTS}"
+        ) from None
+
+
+@cache
+def _declared() -> dict[str, str]:
+    from importlib.metadata import entry_points  # 60 ms, which only the supervisor needs to spend
+
+    return {entry.name: entry.value for entry in entry_points(group=ENTRY_POINTS)}
 
 
 def simulated(settings: RobotSettings) -> bool:
@@ -40,7 +66,11 @@ def processes_of(settings: RobotSettings) -> tuple[Spec, ...]:
         Spec("estimator"),
         Spec("executive"),
         Spec("retrainer", nice=UNHURRIED),
-        *((Spec("web", Restart.ON_FAILURE, nice=UNHURRIED),) if can_serve_page() else ()),
+        *(
+            (Spec("web", Restart.ON_FAILURE, nice=UNHURRIED, awaited=True),)
+            if can_serve_page()
+            else ()
+        ),
         *((Spec("viz", Restart.ON_FAILURE, nice=UNHURRIED),) if can_view() else ()),
     )
 

@@ -11,27 +11,25 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import logging
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from runtime.bus import Bus
 from runtime.logic import Logic, Store
 from runtime.loop import drive
-from runtime.manifest import simulated
+from runtime.manifest import declared, simulated
 from runtime.member import Member
 from runtime.messages import Message
 from runtime.settings import RobotSettings, load_robot
 from runtime.steps import StepLog
 from runtime.store import FileStore
-
-ENTRY_POINTS = "myograft.processes"
 
 log = logging.getLogger(__name__)
 
@@ -125,14 +123,9 @@ def entry_of(process: str, entry: str = "") -> Callable[[Launch], None]:
     Raises:
         LookupError: no entry point has that name.
     """
-    kind = process.partition("-")[0]
-    found: Iterable[EntryPoint] = entry_points(group=ENTRY_POINTS, name=kind)
-    if entry:
-        found = [EntryPoint(kind, entry, ENTRY_POINTS)]
-    for entry_point in found:
-        main: Callable[[Launch], None] = entry_point.load()
-        return main
-    raise LookupError(f"no process is called {kind!r} in the entry points {ENTRY_POINTS}")
+    module, _, function = (entry or declared(process)).partition(":")
+    main: Callable[[Launch], None] = getattr(importlib.import_module(module), function)
+    return main
 
 
 def main(argv: list[str] | None = None) -> None:
