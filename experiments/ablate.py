@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from time import perf_counter
 
 import numpy as np
 
@@ -26,7 +25,6 @@ from experiments.sweep import Unit
 from experiments.tables import Measure
 from experiments.trial import Collected, collect, start
 from runtime.settings import load_robot
-from services.body_schema.fit_wires import USUAL
 from services.body_schema.model import BodyModel
 from services.body_schema.motions import SLACK_N, stacked
 from services.body_schema.schema import Schema
@@ -87,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     ablation = ABLATIONS[args.ablated]
     chosen = options.read(args, ablation.choices)
     work = partial(one_unit, name=args.ablated, parts=chosen.methods, quick=chosen.quick)
-    settings = {**ablation.comparison.fingerprint(), "beliefs": asdict(USUAL)}
+    settings = ablation.comparison.fingerprint()
     title = f"{args.ablated}: method (iv) without one of its parts"
     return carry_out(ablation.choices, chosen, work, settings, ablation.measures, title=title)
 
@@ -108,9 +106,8 @@ def one_unit(unit: Unit, name: str, parts: tuple[str, ...], quick: bool) -> list
         collected = collect(settings, unit.seed, network, unit.n_new, variant.arm(kind))
         oracle = Oracle(start(settings, unit.seed, network, collected))
         for part, control in _tried(parts, kind):
-            begin_s = perf_counter()
-            model = learned(PARTS[part], control, old, collected, settings, unit.seed, quick)
-            trials.learn_s = perf_counter() - begin_s
+            with trials.learning():
+                model = learned(PARTS[part], control, old, collected, settings, unit.seed, quick)
             trials.known = length_errors_mm(model, oracle, old, unit.seed)
             if control == WIRES and (part == WHOLE or kind is not Arm):
                 trials.known["collect_peak_n"] = collected.peak_tension_n

@@ -5,15 +5,16 @@ What `elbow`, `arm` and `lift` have in common; each brings its robot, its score 
 
 from __future__ import annotations
 
+import contextlib
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from time import process_time
+from time import perf_counter, process_time
 
 import msgspec
 
 from experiments.methods import PAPERS_OWN, relearned, settled, wired
-from experiments.oracle import Oracle
+from experiments.oracle import know_all
 from experiments.paper_control import Descent, PaperArm
 from experiments.rig import Rig
 from experiments.session import SessionError
@@ -23,6 +24,7 @@ from experiments.tables import Measure
 from experiments.trial import Collected, collect, start
 from experiments.variants import Variant
 from runtime.settings import RobotSettings, load_robot
+from services.body_schema.fit_wires import USUAL
 from services.body_schema.model import BodyModel
 from services.body_schema.schema import Schema
 from services.logic.arm import Arm
@@ -33,7 +35,10 @@ CONTROLS = {
     CONVERGED: "whole trajectories, least tension, converged",
 }
 SHARINGS = {"norm": "least ||f||^2", "peak": "least peak tension"}  # by converged control
-LEARNING = Measure("learn", "relearning, processor time", "s", 1)
+LEARNING = (
+    Measure("learn", "relearning, processor time", "s", 1),
+    Measure("learn_wall", "relearning, wall time", "s", 1),
+)
 Score = Callable[[Rig], dict[str, float]]  # runs the task; raises SessionError if it does not end
 
 
@@ -61,8 +66,9 @@ class Comparison:
         return {
             "robot": robot,
             "body_crc": zlib.crc32(settings.body_file.read_bytes()),
-            "schema_crc": zlib.crc32(_shipped(settings)),
+            "variants": {name: variant.told(settings) for name, variant in self.variants.items()},
             "recipes": [asdict(train.NEW), asdict(train.TEACH)],
+            "beliefs": asdict(USUAL),
             "descent": asdict(Descent()),
         }
 
@@ -95,16 +101,14 @@ class Comparison:
                 papers = control == PAPERS
                 if papers not in schemas:
                     motions = settled(collected.new) if papers else collected.new
-                    begin_s = process_time()
-                    schemas[papers] = relearned(
-                        method, network, motions, settings, unit.seed, quick
-                    )
-                    trials.learn_s = process_time() - begin_s
+                    with trials.learning():
+                        schemas[papers] = relearned(
+                            method, network, motions, settings, unit.seed, quick
+                        )
                 trials.run(method, control, schemas[papers], collected)
         if {"(iv)", "(iv) network"} & {*methods}:
-            begin_s = process_time()
-            models = wired(old, collected.new, settings, unit.seed)
-            trials.learn_s = process_time() - begin_s
+            with trials.learning():
+                models = wired(old, collected.new, settings, unit.seed)
             for method, model in models.items():
                 for control in converged if method in methods else ():
                     trials.run(method, control, model, collected)
@@ -117,7 +121,7 @@ class Trials:
     Attributes:
         runs: what came out so far.
         known: figures of the runs to come that are known before.
-        learn_s: how long the model of the runs to come was learned.
+        learn_s: how long the model of the runs to come was learned, by processor and by wall.
     """
 
     def __init__(
@@ -130,18 +134,29 @@ class Trials:
     ) -> None:
         self.runs: list[Run] = []
         self.known: dict[str, float] = {}
-        self.learn_s = 0.0
+        self.learn_s: dict[str, float] = {}
         self._score = score
         self._unit = unit
         self._settings = settings
         self._variant = variant
         self._old = old
 
+    @contextlib.contextmanager
+    def learning(self) -> Iterator[None]:
+        """Time what is learned in it."""
+        begin_s, begin_wall_s = process_time(), perf_counter()
+        yield
+        self.learn_s = {
+            "learn": process_time() - begin_s,
+            "learn_wall": perf_counter() - begin_wall_s,
+        }
+
     def run(
         self, method: str, control: str, model: BodyModel | None, robot: Collected | None
     ) -> None:
         """Do the task and score it. Without a model the oracle controls."""
-        arm = self._variant.arm(PaperArm if control == PAPERS else Arm)
+        believed = self._variant.arm(PaperArm if control == PAPERS else Arm)
+        arm = Arm if model is None else believed
         figures = dict(self.known)
         try:
             settings = self._settings
@@ -150,7 +165,7 @@ class Trials:
                 settings = msgspec.structs.replace(settings, control=sharing)
             rig = start(settings, self._unit.seed, model or self._old, robot, arm)
             if model is None:
-                rig.executive.arm.use(Oracle(rig))
+                know_all(rig)
                 rig.run(1.0)
             figures |= self._score(rig)
         except SessionError:
@@ -163,11 +178,6 @@ class Trials:
                 seed=self._unit.seed,
                 variant=self._unit.variant,
                 figures=figures,
-                wall_s={"learn": self.learn_s} if method not in BASELINES else {},
+                wall_s=dict(self.learn_s) if method not in BASELINES else {},
             )
         )
-
-
-def _shipped(settings: RobotSettings) -> bytes:
-    assert settings.schema_file is not None
-    return settings.schema_file.read_bytes()

@@ -55,7 +55,7 @@ MEASURES = (
             **dict.fromkeys((3, 5, 7, 10, 15), "(i) < (iii) = (ii)"),
         },
     ),
-    LEARNING,
+    *LEARNING,
 )
 
 

@@ -42,7 +42,7 @@ MEASURES = (
     Measure("share_sd_n", "spread at the peak", "N", 1),
     Measure("e_theta_rad", "E_theta", "rad", 3),
     Measure("collect_peak_n", "greatest tension while collecting", "N", 0),
-    LEARNING,
+    *LEARNING,
 )
 
 

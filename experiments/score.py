@@ -8,9 +8,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from runtime.messages import ExecutiveState, Message, WorldTruth
 from runtime.settings import RobotSettings
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -99,13 +102,21 @@ class SweepScorer:
         spreads = [
             np.std([target.tension_n.get(name, 0.0) for name in self._alike]) for target in targets
         ]
-        felt = [dict(zip(t.muscles, t.tension_n, strict=True)) for _, t in self._during_task()]
+        felt = list(self._tensions_n())
         return Score(
             e_theta_rad=float(np.mean([target.error_rad for target in targets])),
             sigma_f_n=float(np.mean(spreads)),
             peak_tension_n=max(max(row.values()) for row in felt),
             role_peak_n=max(row.get(name, 0.0) for row in felt for name in self._alike),
         )
+
+    def tension_n(self, muscle: str) -> Array:
+        """What one muscle truly pulled with over the whole task, (T,) [N]; 0 while unplugged."""
+        return np.array([row.get(muscle, 0.0) for row in self._tensions_n()])
+
+    def _tensions_n(self) -> Iterator[dict[str, float]]:
+        for _, truth in self._during_task():
+            yield dict(zip(truth.muscles, truth.tension_n, strict=True))
 
     def _during_task(self) -> Iterator[tuple[ExecutiveState, WorldTruth]]:
         """Each truth of the task with the executive's last word before it."""

@@ -5,10 +5,12 @@ Each variant changes the simulated robot, or what its services believe, and noth
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import zlib
+from dataclasses import asdict, dataclass, field
 
 import msgspec
 
+from runtime.cli.main import UsageError
 from runtime.settings import RobotSettings
 from services.body_schema.schema import Schema
 from services.logic.arm import Arm
@@ -32,11 +34,19 @@ class Variant:
 
     def old(self, settings: RobotSettings) -> Schema:
         """h_old."""
+        return Schema.from_bytes(self._stored(settings))
+
+    def told(self, settings: RobotSettings) -> dict[str, object]:
+        """What decides about results: all of it but the words."""
+        known = asdict(self) | {"schema_crc": zlib.crc32(self._stored(settings))}
+        del known["text"], known["schema"]
+        return known
+
+    def _stored(self, settings: RobotSettings) -> bytes:
         file = settings.schema_file
-        assert file is not None
-        return Schema.from_bytes(
-            (file.with_name(self.schema) if self.schema else file).read_bytes()
-        )
+        if file is None:
+            raise UsageError(f"{settings.file}: an experiment begins with a schema; name one")
+        return (file.with_name(self.schema) if self.schema else file).read_bytes()
 
     def settings(self, settings: RobotSettings) -> RobotSettings:
         """The robot of this variant."""

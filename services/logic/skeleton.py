@@ -32,20 +32,25 @@ class Skeleton:
         pairs = [tie for tie in spec.equalities if tie.type == mj.mjtEq.mjEQ_TENDON]
         for thing in [*pairs, *spec.tendons]:
             spec.delete(thing)
-        self._model = spec.compile()
-        self._data = mj.MjData(self._model)
-        self._coordinates = Coordinates(self._model, joints)
-        self._asked = b""  # the posture of `_torque_nm`
-        self._torque_nm = np.zeros(len(joints))
+        self._joints = joints
         self._load_kg = 0.0
-        self._load_body, self._load_m = 0, np.zeros(3)
-        self._load_jacobian = np.zeros((3, self._model.nv))
+        self._load_link, self._load_m = "", np.zeros(3)
+        self.take(spec.compile())
+
+    def take(self, model: mj.MjModel) -> None:
+        """Go by these bones from now on: a model that has the joints and what is carried by."""
+        self._model = model
+        self._data = mj.MjData(model)
+        self._coordinates = Coordinates(model, self._joints)
+        self._asked = b""  # the posture of `_torque_nm`
+        self._torque_nm = np.zeros(len(self._joints))
+        self._load_jacobian = np.zeros((3, model.nv))
         self.range_rad: Array = self._coordinates.range_rad
 
     def carry(self, link: str, position_m: tuple[float, float, float], mass_kg: float) -> None:
         """From now on a link carries a mass at a position in its frame; 0 kg: nothing."""
         self._load_kg, self._asked = mass_kg, b""
-        self._load_body, self._load_m = self._model.body(link).id, np.array(position_m)
+        self._load_link, self._load_m = link, np.array(position_m)
 
     def gravity_torque_nm(self, angle_rad: Array) -> Array:
         """Torque that the muscles must produce to hold a posture at rest, shape (N,).
@@ -65,9 +70,10 @@ class Skeleton:
         mj.mj_rne(model, data, 0, data.qfrc_bias)  # velocities of `data` are zero for ever
         torque = data.qfrc_bias
         if self._load_kg:
-            turn = data.xmat[self._load_body].reshape(3, 3)
-            centre_m = data.xpos[self._load_body] + turn @ self._load_m
+            body = model.body(self._load_link).id
+            turn = data.xmat[body].reshape(3, 3)
+            centre_m = data.xpos[body] + turn @ self._load_m
             jacobian = self._load_jacobian
-            mj.mj_jac(model, data, jacobian, None, centre_m, self._load_body)
+            mj.mj_jac(model, data, jacobian, None, centre_m, body)
             torque = torque - self._load_kg * model.opt.gravity @ jacobian
         return self._coordinates.pulled(torque, data.qpos)

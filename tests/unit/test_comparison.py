@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from experiments.arm import compare_sharing, sharing
 from experiments.comparison import CONTROLS, SHARINGS, Comparison
 from experiments.elbow import ELBOW
 from experiments.rig import Rig
@@ -17,8 +18,12 @@ from experiments.statistics import Run
 from experiments.sweep import Unit
 from experiments.variants import VARIANTS, Variant
 from runtime import messages as m
+from runtime.settings import load_robot
 from services.body_schema import train
 from services.body_schema.wires import WireModel
+from services.logic.skeleton import Skeleton
+
+SETTINGS = load_robot("elbow")
 
 SHORT = train.Recipe(steps=12, batch=512, rate=1e-3)  # of the network, which does not control here
 
@@ -126,4 +131,49 @@ def test_what_decides_about_results_is_in_the_fingerprint() -> None:
     one = ELBOW.fingerprint()
     assert one == TINY.fingerprint()
     assert replace(ELBOW, robot="musashi_arm").fingerprint() != one
-    assert set(one) == {"robot", "body_crc", "schema_crc", "recipes", "descent"}
+    assert set(one) == {"robot", "body_crc", "variants", "recipes", "beliefs", "descent"}
+    told = one["variants"]
+    assert isinstance(told, dict) and set(told) == set(VARIANTS)
+    heavier = {**VARIANTS, "load": replace(VARIANTS["load"], believed_load=1.2)}
+    assert replace(ELBOW, variants=heavier).fingerprint() != one
+    worded = {**VARIANTS, "load": replace(VARIANTS["load"], text="other words")}
+    assert replace(ELBOW, variants=worded).fingerprint() == one
+
+
+def test_how_two_muscles_share_is_told_by_their_averages_over_the_whole_task() -> None:
+    figures = sharing(np.array([10.0, 30.0, 20.0]), np.array([0.0, 5.0, 10.0]))
+    assert figures == {"f3_ave_n": 20.0, "f4_ave_n": 5.0, "f4_max_n": 10.0, "e_f": 0.6}
+    assert "e_f" not in sharing(np.zeros(3), np.zeros(3))
+
+
+def test_sharing_is_compared_among_the_papers_three_under_one_control() -> None:
+    def run(method: str, control: str, e_f: float) -> Run:
+        figures = {"e_f": e_f}
+        return Run(
+            method=method, control=control, n_new=5, seed=0, variant="clean", figures=figures
+        )
+
+    three = [run("(i)", "paper", 0.1), run("(ii)", "paper", 0.3), run("(iii)", "paper", 0.4)]
+    others = [run("(iv)", "paper", 0.01), run("(i)", "converged", 0.2)]
+    compare_sharing([*three, *others])
+    assert [row["figures"]["r_f"] for row in three] == pytest.approx([0.125, 0.375, 0.5])
+    assert not any("r_f" in row["figures"] for row in others)
+
+
+def test_the_oracle_knows_the_true_load_and_where_the_joints_are() -> None:
+    simulation = {"joint_error_m": 0.005, "joint_error_rad": 0.015}
+    heavy = Variant("everything wrong", simulation, believed_load=1.1)
+    off: list[float] = []
+
+    def score(rig: Rig) -> dict[str, float]:
+        plant, skeleton = rig.robot.plant, rig.executive.arm.skeleton
+        angle = np.array([0.7])
+        true = Skeleton(SETTINGS.body_file, SETTINGS.joints)
+        true.take(plant.model)
+        off.append(float((skeleton.gravity_torque_nm(angle) / true.gravity_torque_nm(angle))[0]))
+        return {}
+
+    rows(replace(TINY, score=score, variants={"clean": heavy}), 0, controls=("converged",))
+    before, oracle = off
+    assert oracle == 1.0
+    assert abs(before - 1.1) < 0.05 and before != 1.1
