@@ -21,14 +21,15 @@ class New:
     Every spatial tendon becomes a muscle, every joint that a wire moves a joint with a module of
     its own; a ball joint becomes three, the components of its rotation vector. Joints that an
     equality ties to another one follow it. Muscle actuators in the file are ignored. Prints what
-    was found and whether the body can be held, and writes a robot file with limits and a task
-    `sweep` through the joints' ranges. Exit code 1 when the body cannot be held.
+    was found and whether the body can be held, and writes a robot file with limits, a task `sweep`
+    through the joints' ranges, and a spare muscle beside the one that pulls hardest. Exit code 1 when the body cannot be held.
 
     Examples:
       myograft new my_arm.xml
       myograft new my_hand.xml --out hand.toml --name hand
       myograft new humanoid.xml --fix-root
       myograft learn my_arm.toml && myograft up my_arm.toml
+      myograft demo my_arm.toml
     """
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
@@ -105,6 +106,7 @@ def _propose(args: argparse.Namespace, survey: Survey, name: str, out: Path, bod
     from experiments.body import Subject, print_body, print_failures, print_feasibility, report
     from experiments.feasibility import assess, postures
     from experiments.robot_file import robot_file
+    from experiments.spare import help_of
     from hardware_sim.geometry import Geometry
     from runtime.settings import Control, load_robot
 
@@ -144,12 +146,13 @@ def _propose(args: argparse.Namespace, survey: Survey, name: str, out: Path, bod
         proposal.rest(geometry, asked, targets_deg),
         targets_deg,
         worst_n,
+        help_of(body, geometry, drawn, asked),
         [*survey.changes, *survey.doubts, *unheld],
     )
     out.write_text(text, encoding="utf-8")
     load_robot(str(out))
     print(f"\nwrote {out}" + (f" and {body}" if survey.changes else ""))
-    print(f"next: myograft learn {out}\n      myograft up {out}")
+    print(f"next: myograft learn {out}\n      myograft up {out}\n      myograft demo {out}")
     return 0
 
 

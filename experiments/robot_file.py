@@ -6,6 +6,8 @@ import json
 from collections.abc import Iterator, Sequence
 
 from experiments.proposal import FIRST_JOINT_ID, FIRST_MUSCLE_ID, Array, Limits, Line
+from experiments.spare import Help
+from runtime.messages import Place
 
 
 def robot_file(
@@ -17,6 +19,7 @@ def robot_file(
     rest_deg: Array,
     targets_deg: Array,
     worst_n: float,
+    spare: Help | None,
     remarks: Sequence[str],
 ) -> str:
     """The whole text; `body` is the way from the robot file to the body's."""
@@ -33,7 +36,8 @@ def robot_file(
             f"schema = {_quoted(name + '.safetensors')}  # myograft learn THIS_FILE",
             *_chains(chains),
             *_joints(chains, joints, rest),
-            *_muscles(chains),
+            *_muscles(chains, spare),
+            *_spare(chains, spare),
             *_task(targets_deg),
             "",
             "[module]",
@@ -81,7 +85,7 @@ def _joints(
             yield f"rest_deg = {_number(rest_deg[joint])}  # where it parks"
 
 
-def _muscles(chains: Sequence[Line]) -> Iterator[str]:
+def _muscles(chains: Sequence[Line], spare: Help | None) -> Iterator[str]:
     for line in chains:
         for number, wire in enumerate(line.wires):
             yield ""
@@ -89,6 +93,26 @@ def _muscles(chains: Sequence[Line]) -> Iterator[str]:
             yield f"name = {_quoted(wire)}"
             yield f"chain = {_quoted(line.name)}"
             yield f"id = {FIRST_MUSCLE_ID + number}"
+            if spare and wire == spare.beside:
+                yield f"role = {_quoted(wire)}  # it pulls hardest"
+
+
+def _spare(chains: Sequence[Line], spare: Help | None) -> Iterator[str]:
+    if spare is None:
+        return
+    path = spare.path
+    yield ""
+    yield "[[spare]]  # a proposal: beside the muscle that pulls hardest"
+    yield f"name = {_quoted(spare.name)}"
+    yield f"chain = {_quoted(next(x.name for x in chains if spare.beside in x.wires))}"
+    yield f"role = {_quoted(spare.beside)}"
+    yield "[spare.path]"
+    yield f"attachment = {_place(path.attachment)}"
+    yield f"direction = {list(path.direction)}"
+    yield "relays = ["
+    for place in path.relays:
+        yield f"    {_place(place)},"
+    yield "]"
 
 
 def _task(targets_deg: Array) -> Iterator[str]:
@@ -101,6 +125,13 @@ def _task(targets_deg: Array) -> Iterator[str]:
     for target in targets_deg.tolist():
         yield f"    [{', '.join(map(_number, target))}],"
     yield "]"
+
+
+def _place(place: Place) -> str:
+    if not place.wrap:
+        return f"{{ link = {_quoted(place.link)}, position_m = {list(place.position_m or ())} }}"
+    side = f", side = {_quoted(place.side)}" if place.side else ""
+    return f"{{ wrap = {_quoted(place.wrap)}{side} }}"
 
 
 def _quoted(word: str) -> str:

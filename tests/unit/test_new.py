@@ -99,6 +99,12 @@ def test_a_body_becomes_a_robot_whose_postures_can_be_held(tmp_path, capsys, bod
     assert plant.wires == list(robot.muscles)
     assert Skeleton(robot.body_file, joints).range_rad == pytest.approx(plant.range_rad)
     Wiring(robot.body_file, joints, nominal_paths(robot.body_file)).lengths(plant.angle_rad)
+    (spare,) = robot.spare
+    (beside,) = (muscle.name for muscle in robot.muscle if muscle.role == spare.role)
+    plant.add_muscle(spare.name, spare.path)
+    arm_m = plant.wires_at(geometry.range_rad.mean(axis=1))[1]
+    helped, added = arm_m[robot.muscles.index(beside)], arm_m[-1]
+    assert helped @ added > 0.9 * np.linalg.norm(helped) * np.linalg.norm(added)  # it does alike
 
 
 def test_a_tied_joint_is_told_and_not_listed(tmp_path, capsys):

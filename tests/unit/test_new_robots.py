@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -16,9 +17,11 @@ from experiments.collect import collect_old
 from experiments.new import New
 from experiments.reach import Watch
 from experiments.rig import Rig
+from experiments.sequence import Trace, run_sequence
+from experiments.session import RigSession
 from runtime import messages as m
 from runtime.cli.main import _run
-from runtime.settings import load_robot
+from runtime.settings import RobotSettings, load_robot
 from services.body_schema.train import OLD, train_old
 
 BODIES = Path(__file__).parent.parent / "bodies"
@@ -62,3 +65,14 @@ def test_a_body_learns_quickly_and_holds_its_postures(tmp_path, body, limit_rad)
     apart = np.linalg.norm(np.diff(targets[:TARGETS], axis=0), axis=1)
     assert apart.min() > 2 * limit_rad  # or standing still would do
     assert max(watch.peak_n.values()) < settings.module.tension_limit_n
+    if body == "two_joints":  # the quickest
+        grows_by_the_spare_that_was_proposed(settings)
+
+
+def grows_by_the_spare_that_was_proposed(settings: RobotSettings) -> None:
+    growth = msgspec.structs.replace(settings.growth, n_new=3)
+    settings = msgspec.structs.replace(settings, growth=growth)
+    result = run_sequence(RigSession(Rig(settings)), Trace(settings), lambda *_: None)
+    assert result.after.role_peak_n < 0.9 * result.before.role_peak_n
+    assert result.after.e_theta_rad < result.before.e_theta_rad
+    assert result.peak_tension_n < settings.module.tension_limit_n
