@@ -13,10 +13,10 @@ from typing import Any
 
 from experiments import arm, elbow, estimate_findings, lift
 from experiments.ablate import ABLATIONS
-from experiments.against import against_table
-from experiments.plots import draw_over_n
+from experiments.against import against_tables
+from experiments.plots import draw_curves, draw_over_n
 from experiments.statistics import by_seed
-from experiments.tables import markdown_table, ordering_lines
+from experiments.tables import by_control, markdown_table, ordering_lines
 
 HERE = Path(__file__).parent
 PAGE = HERE / "science.md"
@@ -40,22 +40,29 @@ def render(name: str) -> str:
     if name in ESTIMATES:
         return estimate_findings.markdown(runs)
     told = [measure for measure in MEASURES[name] if by_seed(runs, measure.figure)]
-    tables = [markdown_table(measure, runs) for measure in told]
-    tables += filter(None, [against_table(measure, runs) for measure in told[:2]])
-    claimed = [measure for measure in told if measure.claims]
+    parts = [part for measure in told for part in by_control(measure, runs)]
+    tables = [markdown_table(measure, own) for measure, own in parts]
+    more = [table for measure in told[:2] for table in against_tables(measure, runs)[1:]]
+    tables += [lift.cut_table(runs)] if name == "lift" else []
+    tables += [table for measure in told[:2] for table in against_tables(measure, runs)[:1]]
     orders = [
         line
-        for measure in claimed
-        for line in ordering_lines(measure, runs)
+        for measure, own in parts
+        if measure.claims
+        for line in ordering_lines(measure, own)
         if "the paper:" in line
     ]
-    return "\n\n".join([*tables, _folded(orders) if orders else ""]).strip()
+    if more:
+        tables.append(_folded("(iv) and its network against others, before and the oracle", more))
+    if orders:
+        words = "The paper's orderings, each with its paired 95 % interval"
+        tables.append(_folded(words, ["\n".join(["```", *orders, "```"])]))
+    return "\n\n".join(tables)
 
 
-def _folded(orders: Sequence[str]) -> str:
-    """Many lines that a reader opens."""
-    head = "<summary>The paper's orderings, each with its paired 95 % interval</summary>"
-    return "\n".join(["<details>", head, "", "```", *orders, "```", "</details>"])
+def _folded(summary: str, blocks: Sequence[str]) -> str:
+    """What a reader opens."""
+    return "\n\n".join([f"<details>\n<summary>{summary}</summary>", *blocks, "</details>"])
 
 
 def with_results(page: str) -> str:
@@ -72,16 +79,16 @@ def draw(name: str) -> list[Path]:
     """One picture for each control, once there are two numbers of motions for a line."""
     module = EXPERIMENTS[name]
     runs, files = _runs(name), []
+    if any("curves" in run for run in runs):
+        files += draw_curves(HERE / "pictures" / name, runs, title=f"{name}, the first seed")
     if len({run["n_new"] for run in runs} - {0}) < 2:
         return files
     for control in dict.fromkeys(run["control"] for run in runs):
         some = [run for run in runs if run["control"] == control]
-        measures = [m for m in module.MEASURES if any(m.figure in r["figures"] for r in some)]
+        measures = [m for m in module.MEASURES if m.drawn and by_seed(some, m.figure)]
         path = HERE / "pictures" / f"{name}-{control}"
         title = f"{name}, control: {control}"
-        files += draw_over_n(
-            path, measures[:2], some, title=title, known=list(module.CHOICES.methods)
-        )
+        files += draw_over_n(path, measures, some, title=title, known=list(module.CHOICES.methods))
     return files
 
 

@@ -18,7 +18,7 @@ from experiments.oracle import know_all
 from experiments.paper_control import Descent, PaperArm
 from experiments.rig import Rig
 from experiments.session import SessionError
-from experiments.statistics import BASELINES, Run
+from experiments.statistics import BASELINES, PAPERS, Run
 from experiments.sweep import Unit
 from experiments.tables import Measure
 from experiments.trial import Collected, collect, start
@@ -29,7 +29,7 @@ from services.body_schema.model import BodyModel
 from services.body_schema.schema import Schema
 from services.logic.arm import Arm
 
-PAPERS, CONVERGED = "paper", "converged"
+CONVERGED = "converged"
 CONTROLS = {
     PAPERS: "the paper's: settled samples, 300 steps of Adam on the latent space",
     CONVERGED: "whole trajectories, least tension, converged",
@@ -40,6 +40,8 @@ LEARNING = (
     Measure("learn_wall", "relearning, wall time", "s", 1),
 )
 Score = Callable[[Rig], dict[str, float]]  # runs the task; raises SessionError if it does not end
+Curves = dict[str, list[float]]
+Watch = Callable[[Rig], Callable[[], Curves]]  # from now on; what is returned tells what was seen
 
 
 @dataclass(frozen=True)
@@ -50,11 +52,13 @@ class Comparison:
         robot: its name.
         variants: by name.
         score: runs the task on a rig that holds, and gives its figures.
+        watch: keeps curves of the task.
     """
 
     robot: str
     variants: Mapping[str, Variant]
     score: Score
+    watch: Watch | None = None
 
     def fingerprint(self) -> dict[str, object]:
         """What decides about the results."""
@@ -83,7 +87,7 @@ class Comparison:
         settings = variant.settings(load_robot(self.robot))
         old = variant.old(settings)
         network = replace(old, wires=None)
-        trials = Trials(self.score, unit, settings, variant, network)
+        trials = Trials(self.score, unit, settings, variant, network, self.watch)
         collected = collect(settings, unit.seed, network, unit.n_new or 1, variant.arm(Arm))
         trials.known["collect_peak_n"] = collected.peak_tension_n
         converged = [control for control in controls if control != PAPERS]
@@ -131,6 +135,7 @@ class Trials:
         settings: RobotSettings,
         variant: Variant,
         old: Schema,
+        watch: Watch | None = None,
     ) -> None:
         self.runs: list[Run] = []
         self.known: dict[str, float] = {}
@@ -140,6 +145,7 @@ class Trials:
         self._settings = settings
         self._variant = variant
         self._old = old
+        self._watch = watch
 
     @contextlib.contextmanager
     def learning(self) -> Iterator[None]:
@@ -157,7 +163,7 @@ class Trials:
         """Do the task and score it. Without a model the oracle controls."""
         believed = self._variant.arm(PaperArm if control == PAPERS else Arm)
         arm = Arm if model is None else believed
-        figures = dict(self.known)
+        figures, curves = dict(self.known), None
         try:
             settings = self._settings
             if control in SHARINGS:
@@ -167,17 +173,19 @@ class Trials:
             if model is None:
                 know_all(rig)
                 rig.run(1.0)
+            curves = self._watch(rig) if self._watch else None
             figures |= self._score(rig)
         except SessionError:
             figures["failed"] = 1.0  # the robot stopped, or never came to rest
-        self.runs.append(
-            Run(
-                method=method,
-                control=control,
-                n_new=self._unit.n_new,
-                seed=self._unit.seed,
-                variant=self._unit.variant,
-                figures=figures,
-                wall_s=dict(self.learn_s) if method not in BASELINES else {},
-            )
+        run = Run(
+            method=method,
+            control=control,
+            n_new=self._unit.n_new,
+            seed=self._unit.seed,
+            variant=self._unit.variant,
+            figures=figures,
+            wall_s=dict(self.learn_s) if method not in BASELINES else {},
         )
+        if curves is not None:
+            run["curves"] = curves()
+        self.runs.append(run)

@@ -43,6 +43,7 @@ MEASURES = (
             **dict.fromkeys((1, 3, 5, 7), "(iii) < (ii) < (i) < (i) no copy"),
             **dict.fromkeys((10, 15), "(i) < (iii) < (ii) < (i) no copy"),
         },
+        drawn=True,
     ),
     Measure(
         "sigma_f_n",
@@ -54,6 +55,7 @@ MEASURES = (
             1: "(i) = (iii) < (ii)",
             **dict.fromkeys((3, 5, 7, 10, 15), "(i) < (iii) = (ii)"),
         },
+        drawn=True,
     ),
     *LEARNING,
 )

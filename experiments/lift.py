@@ -8,12 +8,13 @@ least greatest tension (`peak`).
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
 
 from experiments import options
-from experiments.comparison import LEARNING, SHARINGS, Comparison
+from experiments.comparison import LEARNING, SHARINGS, Comparison, Curves
 from experiments.methods import METHODS
 from experiments.options import Choices
 from experiments.report import carry_out
@@ -21,13 +22,16 @@ from experiments.rig import Rig
 from experiments.score import SweepScorer
 from experiments.sequence import run_scored
 from experiments.session import RigSession
-from experiments.statistics import Run
+from experiments.statistics import BASELINES, Run, by_seed
 from experiments.sweep import Unit
 from experiments.tables import Measure
 from experiments.variants import LIFT_VARIANTS
 from runtime.messages import Message, WorldTruth
+from runtime.settings import RobotSettings
 
 TASK, ROLE = "lift", "shoulder_pitch"
+CURVE_NS = 250_000_000
+SHARES = (95, 90)  # of the oracle's cut: what is asked of wires, and of the network
 CHOICES = Choices(
     experiment="lift",
     n_new=(17,),
@@ -41,7 +45,7 @@ MEASURES = (
     Measure("peak_n", "peak", "N", 0, paper={("before", 0): 215.0, ("(iii)", 17): 118.0}),
     Measure("share_sd_n", "spread at the peak", "N", 1),
     Measure("e_theta_rad", "E_theta", "rad", 3),
-    Measure("collect_peak_n", "greatest tension while collecting", "N", 0),
+    Measure("collect_peak_n", "greatest tension while collecting", "N", 0, controlled=False),
     *LEARNING,
 )
 
@@ -67,28 +71,53 @@ def one_unit(
 
 
 class Peak:
-    """Watches the tensions of one role's muscles, over the whole task."""
+    """Watches the tensions of one role's muscles, over the whole task.
+
+    Attributes:
+        tension_n: of all, when one of them was at its greatest.
+        curves: of each muscle the greatest in each quarter of a second [N], beside `time_s`.
+    """
 
     def __init__(self, muscles: tuple[str, ...]) -> None:
-        self.tension_n = np.zeros(len(muscles))  # of all, when one of them was at its greatest
+        self.tension_n = np.zeros(len(muscles))
+        self.curves: Curves = {name: [] for name in ("time_s", *muscles)}
         self._muscles = muscles
+        self._begin_ns = -1
 
     def see(self, message: Message) -> None:
         """Take in what was true."""
         if not isinstance(message, WorldTruth):
             return
         there = dict(zip(message.muscles, message.tension_n, strict=True))
-        tension = np.array([there[name] for name in self._muscles if name in there])
+        tension = np.array([there.get(name, 0.0) for name in self._muscles])
         if tension.max() > self.tension_n.max():
-            self.tension_n = tension
+            self.tension_n = tension[[name in there for name in self._muscles]]
+        self._begin_ns = message.stamp_ns if self._begin_ns < 0 else self._begin_ns
+        slot = (message.stamp_ns - self._begin_ns) // CURVE_NS
+        if slot == len(self.curves["time_s"]):
+            self.curves["time_s"].append(slot * CURVE_NS * 1e-9)
+            for name in self._muscles:
+                self.curves[name].append(0.0)
+        for name, newton in zip(self._muscles, tension.round(1).tolist(), strict=True):
+            self.curves[name][-1] = max(self.curves[name][-1], newton)
+
+
+def carriers(settings: RobotSettings) -> tuple[str, ...]:
+    """The shoulder-pitch muscles, the added one last."""
+    own = tuple(muscle.name for muscle in settings.muscle if muscle.role == ROLE)
+    return own + tuple(spare.name for spare in settings.spare if spare.role == ROLE)
+
+
+def watch(rig: Rig) -> Callable[[], Curves]:
+    """Keep the carrying muscles' tensions."""
+    peak = Peak(carriers(rig.settings))
+    rig.watchers.append(peak.see)
+    return lambda: peak.curves
 
 
 def score(rig: Rig) -> dict[str, float]:
     """Peak of the shoulder-pitch muscles during the lift, and how evenly they share it."""
-    settings = rig.settings
-    muscles = tuple(x.name for x in settings.muscle if x.role == ROLE)
-    muscles += tuple(x.name for x in settings.spare if x.role == ROLE)
-    scorer, peak = SweepScorer(settings, TASK), Peak(muscles)
+    scorer, peak = SweepScorer(rig.settings, TASK), Peak(carriers(rig.settings))
     session = RigSession(rig)
     session.watchers.append(peak.see)
     run_scored(session, scorer, TASK)
@@ -99,4 +128,23 @@ def score(rig: Rig) -> dict[str, float]:
     }
 
 
-LIFT = Comparison("musashi_w", LIFT_VARIANTS, score)
+def cut_table(runs: Sequence[Run]) -> str:
+    """How much of the oracle's cut of the peak each method keeps, seed by seed."""
+    peaks = by_seed(runs, "peak_n")
+    rows = [["share of the oracle's cut", "mean", "least", *(f"seeds >= {x} %" for x in SHARES)]]
+    rows.append(["---", *["---:" for _ in rows[0][1:]]])
+    for cell, found in peaks.items():
+        before, oracle = (peaks.get(cell._replace(method=x, n_new=0)) for x in BASELINES)
+        if cell.method in BASELINES or before is None or oracle is None:
+            continue
+        seeds = [seed for seed in found if seed in before and seed in oracle]
+        kept = [
+            100.0 * (before[seed] - found[seed]) / (before[seed] - oracle[seed]) for seed in seeds
+        ]
+        enough = [f"{sum(x >= share for x in kept)} of {len(kept)}" for share in SHARES]
+        name = f"{cell.method}, {cell.variant}, {cell.control}"
+        rows.append([name, f"{np.mean(kept):.1f} %", f"{min(kept):.1f} %", *enough])
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+LIFT = Comparison("musashi_w", LIFT_VARIANTS, score, watch)

@@ -22,7 +22,8 @@ class New:
     its own; a ball joint becomes three, the components of its rotation vector. Joints that an
     equality ties to another one follow it. Muscle actuators in the file are ignored. Prints what
     was found and whether the body can be held, and writes a robot file with limits, a task `sweep`
-    through the joints' ranges, and a spare muscle beside the one that pulls hardest. Exit code 1 when the body cannot be held.
+    through the joints' ranges, and a spare muscle beside the one that pulls hardest. Exit code 1
+    when the body cannot be held.
 
     Examples:
       myograft new my_arm.xml

@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dashboard.palette import INK
+from dashboard.palette import FAINT, INK, ON_PAPER
 from experiments.figure import Key, name_axis, save
 from experiments.statistics import BASELINES, Cell, Run, Spread, by_seed, spread
 from experiments.tables import Measure
@@ -118,6 +118,57 @@ def draw_variants(
 
     size = (9.0, 1.2 + 2.6 * len(measures))
     return save(path, size, f"{title}, $N_{{new}}$ = {shown}" if title else "", draw)
+
+
+def draw_curves(path: Path, runs: Sequence[Run], *, title: str = "") -> list[Path]:
+    """Tensions over time: a column for each method, a row for each variant and control.
+
+    Args:
+        path: of the files, without their endings.
+        runs: of one experiment; those of the first seed with `curves` are drawn.
+        title: one line above all.
+
+    Returns:
+        The files: PNG and SVG.
+    """
+    first = min(run["seed"] for run in runs if "curves" in run)
+    some = [run for run in runs if "curves" in run and run["seed"] == first]
+    cells = {(run["variant"], run["control"], run["method"]): run["curves"] for run in some}
+    rows = list(dict.fromkeys((variant, control) for variant, control, _ in cells))
+    told = list(dict.fromkeys(method for _, _, method in cells))
+    methods = sorted(told, key=lambda x: {"before": 0, "oracle": 2}.get(x, 1))
+
+    def draw(figure: Figure) -> None:
+        shape = (len(rows), len(methods))
+        grid = figure.subplots(*shape, squeeze=False, sharex=True, sharey=True)
+        names: list[str] = []
+        for line, (variant, control) in zip(grid, rows, strict=True):
+            for axes, method in zip(line, methods, strict=True):
+                curves = cells.get((variant, control, method), {})
+                names = [name for name in curves if name != "time_s"] or names
+                for i, name in enumerate(names if curves else ()):
+                    axes.plot(curves["time_s"], curves[name], color=ON_PAPER[i], lw=1.2)
+                if curves:
+                    peak = max(max(curves[name]) for name in names)
+                    axes.axhline(peak, color=FAINT, lw=0.8, ls=":")
+                    axes.text(
+                        0.98, 0.97, f"{peak:.0f} N", transform=axes.transAxes, ha="right", va="top"
+                    )
+                axes.set_title(f"{method}, {variant}, by {control}", fontsize=9, loc="left")
+            line[0].set_ylabel("tension [N]")
+        for axes in grid[-1]:
+            axes.set_xlabel("time [s]")
+        grid[0][0].set_ylim(bottom=0.0)
+        figure.legend(
+            [grid[0][0].plot([], [], color=ON_PAPER[i])[0] for i in range(len(names))],
+            names,
+            loc="outside lower center",
+            ncols=len(names),
+            frameon=False,
+        )
+
+    size = (2.3 + 2.5 * len(methods), 1.2 + 2.1 * len(rows))
+    return save(path, size, title, draw)
 
 
 def _draw_baselines(axes: Axes, cells: Spreads, key: Key) -> None:

@@ -8,11 +8,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from experiments.options import Choices, Options
-from experiments.plots import draw_over_n, draw_variants
+from experiments.plots import draw_curves, draw_over_n, draw_variants
 from experiments.progress import bars
 from experiments.store import Store
 from experiments.sweep import Outcome, Work, run_units
-from experiments.tables import Measure, document, markdown_table, ordering_lines, text_table
+from experiments.tables import (
+    Measure,
+    by_control,
+    document,
+    markdown_table,
+    ordering_lines,
+    text_table,
+)
 
 
 def carry_out(
@@ -61,15 +68,15 @@ def tell(
     """Tables and orderings to the terminal; tables, pictures and JSON to files."""
     runs = outcome.runs
     if runs:
-        for measure in measures:
-            print(f"\n{text_table(measure, runs)}\n")
+        parts = [part for measure in measures for part in by_control(measure, runs)]
+        for measure, own in parts:
+            print(f"\n{text_table(measure, own)}\n")
             if not measure.against:  # else the table itself tells the differences
-                print("\n".join(ordering_lines(measure, runs)))
-        (options.out / "tables.md").write_text(
-            "\n\n".join(markdown_table(measure, runs) for measure in measures) + "\n"
-        )
+                print("\n".join(ordering_lines(measure, own)))
+        tables = [markdown_table(measure, own) for measure, own in parts]
+        (options.out / "tables.md").write_text("\n\n".join(tables) + "\n")
         files, known = [], list(choices.methods)
-        drawn = [measure for measure in measures if not measure.against]
+        drawn = [measure for measure in measures if measure.drawn]
         for control in dict.fromkeys(run["control"] for run in runs if drawn):
             some = [run for run in runs if run["control"] == control]
             at = options.out / f"{choices.experiment}-{control}"
@@ -78,6 +85,8 @@ def tell(
             if len(options.variants) > 1:
                 at = options.out / f"{choices.experiment}-{control}-variants"
                 files += draw_variants(at, drawn, some, title=words, known=known)
+        if any("curves" in run for run in runs):
+            files += draw_curves(options.out / choices.experiment, runs, title=title)
         print("\nwritten:", *files, options.out / "tables.md", sep="\n  ")
     if options.json:
         told = document(measures, runs, outcome.failed, fingerprint)

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple, NotRequired, TypedDict
 
 BASELINES = ("before", "oracle")  # learned from nothing new: their `n_new` is 0
+PAPERS = "paper"  # the control that only the paper's own methods are tried by
 
 # Student's t, two-sided 95 % (0.975 quantile) by degrees of freedom:
 # NIST/SEMATECH e-Handbook of Statistical Methods, table 1.3.6.7.2.
@@ -34,6 +35,7 @@ class Run(TypedDict):
     variant: str  # of the body or of its surroundings
     figures: dict[str, float]  # with units in the names; one that could not be measured is left out
     wall_s: NotRequired[dict[str, float]]  # what took how long
+    curves: NotRequired[dict[str, list[float]]]  # by name, all as long as `time_s`
 
 
 class Cell(NamedTuple):
@@ -71,6 +73,11 @@ class Difference(NamedTuple):
         return "no ordering"
 
 
+def figures_of(run: Run) -> dict[str, float]:
+    """Its figures, and what took how long."""
+    return {**run.get("wall_s", {}), **run["figures"]}
+
+
 def by_seed(runs: Iterable[Run], figure: str) -> dict[Cell, dict[int, float]]:
     """One figure, or one of what took time, of every cell by seed.
 
@@ -78,7 +85,7 @@ def by_seed(runs: Iterable[Run], figure: str) -> dict[Cell, dict[int, float]]:
     """
     values: dict[Cell, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
     for run in runs:
-        told = {**run.get("wall_s", {}), **run["figures"]}
+        told = figures_of(run)
         if figure in told:
             n_new = 0 if run["method"] in BASELINES else run["n_new"]
             cell = Cell(run["variant"], run["control"], run["method"], n_new)

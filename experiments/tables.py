@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
 from experiments.statistics import (
     BASELINES,
+    PAPERS,
     Cell,
     Difference,
     Run,
     Spread,
     by_seed,
+    figures_of,
     paired_difference,
     spread,
 )
@@ -30,6 +32,8 @@ class Measure:
         paper: (method, N_new) -> the paper's number; N_new 0 of a baseline.
         claims: N_new -> the paper's ordering, as it writes it: `(iii) = (ii) < (i)`.
         against: a method; others are told by what they differ from it. Empty: by their means.
+        drawn: it is in the pictures.
+        controlled: it depends on the control.
     """
 
     figure: str
@@ -39,6 +43,8 @@ class Measure:
     paper: Mapping[tuple[str, int], float] = field(default_factory=dict)
     claims: Mapping[int, str] = field(default_factory=dict)
     against: str = ""
+    drawn: bool = False
+    controlled: bool = True
 
     @property
     def title(self) -> str:
@@ -56,6 +62,24 @@ class Ordering(NamedTuple):
     b: str
     difference: Difference
     claim: str  # what the paper says of the two; empty if it does not
+
+
+def by_control(measure: Measure, runs: Sequence[Run]) -> Iterator[tuple[Measure, list[Run]]]:
+    """The runs of each control by themselves, and what to call the measure there.
+
+    The paper's numbers stand beside its own control, where that was tried.
+    """
+    having = [run for run in runs if measure.figure in figures_of(run)]
+    controls = list(dict.fromkeys(run["control"] for run in having))
+    if not measure.controlled:
+        controls = controls[-1:]
+    for control in controls:
+        own = [run for run in runs if run["control"] == control]
+        if len(controls) == 1:
+            yield measure, own
+            continue
+        papers = measure.paper if PAPERS not in controls or control == PAPERS else {}
+        yield replace(measure, name=f"{measure.name}, control: {control}", paper=papers), own
 
 
 def text_table(measure: Measure, runs: Sequence[Run]) -> str:
@@ -110,9 +134,16 @@ def ordering_lines(measure: Measure, runs: Sequence[Run]) -> list[str]:
         ]
         ordered = order.difference.verdict == "a < b"
         verdict = f"{order.a} < {order.b}" if ordered else f"{order.a}, {order.b}: no ordering"
-        paper = f"; the paper: {order.claim}" if order.claim else ""
+        paper = f"; the paper: {order.claim}: {_judged(order)}" if order.claim else ""
         lines.append(f"{', '.join(where)}: {verdict}: {_interval(order, measure)}{paper}")
     return lines
+
+
+def _judged(order: Ordering) -> str:
+    """Whether what the paper says of the two was seen here."""
+    if order.difference.verdict != "a < b":
+        return "not told apart" + (", as it says" if "=" in order.claim else "")
+    return "holds" if order.claim == f"{order.a} < {order.b}" else "does not hold"
 
 
 def document(
@@ -123,8 +154,13 @@ def document(
 ) -> dict[str, Any]:
     """Everything, for `--json`: settings, means, orderings, every single run.
 
-    What is not a number (the spread of one seed, its interval) is null.
+    What is not a number (the spread of one seed, its interval) is null. Curves are kept of the
+    first seed alone.
     """
+    first = min((run["seed"] for run in runs), default=0)
+    for run in runs:
+        if run["seed"] != first:
+            run.pop("curves", None)
     told = [
         {"figure": measure.figure, **cell._asdict(), **_finite(spread(seeds.values()))}
         for measure in measures

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from experiments.against import against_table
+from experiments.against import against_table, against_tables
 from experiments.statistics import Run
 from experiments.tables import Measure
 
@@ -36,3 +36,25 @@ def test_the_best_of_the_others_is_chosen_cell_by_cell() -> None:
 
 def test_there_is_no_table_of_ours_alone() -> None:
     assert against_table(MEASURE, [run("(iv)", 1, seed, 0.01) for seed in range(3)]) == ""
+
+
+def test_what_was_before_and_the_oracle_stand_beside_every_number_of_motions() -> None:
+    runs = [
+        *(run("before", 0, seed, 0.030) for seed in range(3)),
+        *(run("(iv)", n, seed, 0.010 + 0.001 * n) for n in (1, 5) for seed in range(3)),
+        *(run("oracle", 0, seed, 0.011) for seed in range(3)),
+    ]
+    before, oracle = against_tables(MEASURE, runs)
+    assert "(iv) less before" in before and "-0.019 [-0.019, -0.019]: **lower**" in before
+    assert "(iv) less oracle" in oracle and "+0.004 [+0.004, +0.004]: **higher**" in oracle
+
+
+def test_several_controls_are_rows_of_their_own() -> None:
+    runs = [
+        run(method, 17, seed, value, control)
+        for control in ("norm", "peak")
+        for method, value in (("(iii)", 0.02), ("(iv)", 0.01))
+        for seed in range(2)
+    ]
+    rows = against_table(MEASURE, runs).splitlines()[2:]
+    assert [row.split(" | ")[0] for row in rows] == ["| plain, norm", "| plain, peak"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,6 +16,7 @@ from experiments.plots import draw_over_n, draw_variants
 from experiments.statistics import Run, by_seed, paired_difference, spread, student_t
 from experiments.tables import (
     Measure,
+    by_control,
     document,
     markdown_table,
     ordering_lines,
@@ -144,12 +146,51 @@ def test_variants_are_named_where_there_are_several() -> None:
     ]
 
 
+APART = {"(i)": 0.1, "(ii)": 0.2}
+
+
 def test_orderings() -> None:
     assert ordering_lines(E_THETA, RUNS) == [
-        "E_theta, N=1: (ii) < (i): -0.010 [-0.010, -0.010] rad, 3 seeds; the paper: (ii) < (i)",
+        "E_theta, N=1: (ii) < (i): -0.010 [-0.010, -0.010] rad, 3 seeds; the paper: (ii) < (i): "
+        "holds",
         "E_theta, N=3: (ii), (i): no ordering: -0.005 [-0.196, +0.186] rad, 2 seeds; "
-        "the paper: (ii) < (i)",
+        "the paper: (ii) < (i): not told apart",
     ]
+
+
+def test_what_the_paper_says_is_judged() -> None:
+    rows = [run(method, 1, seed, value) for method, value in APART.items() for seed in (1, 2)]
+
+    def judged(claim: str) -> list[str]:
+        chain = Measure("e_theta_rad", "E", "", 1, claims={1: claim})
+        return [line.rpartition(": ")[2] for line in ordering_lines(chain, rows)]
+
+    assert judged("(i) < (ii)") == ["holds"]
+    assert judged("(ii) < (i)") == ["does not hold"]
+    assert judged("(ii) = (i)") == ["does not hold"]
+    rows = [run(method, 1, seed, (-1) ** seed * 0.1) for seed, method in enumerate(APART)]
+    rows += [run(method, 1, 1 - seed, 0.1) for seed, method in enumerate(APART)]
+    assert judged("(ii) = (i)") == ["not told apart, as it says"]
+
+
+def test_each_control_has_tables_of_its_own_and_the_paper_stands_beside_its_own() -> None:
+    measure = Measure("e_theta_rad", "E", "rad", 1, paper={("(i)", 1): 0.5})
+    rows = [{**run("(i)", 1, 0, 0.1), "control": control} for control in ("paper", "converged")]
+    first, second = by_control(measure, rows)
+    assert [part.name for part, _ in (first, second)] == [
+        "E, control: paper",
+        "E, control: converged",
+    ]
+    assert first[0].paper and not second[0].paper
+    assert [own for _, own in (first, second)] == [rows[:1], rows[1:]]
+    ((same, own),) = by_control(replace(measure, controlled=False), rows)
+    assert same.name == "E" and own == rows[1:]
+
+
+def test_curves_are_kept_of_the_first_seed_alone() -> None:
+    rows = [{**run("(i)", 1, seed, 0.1), "curves": {"time_s": [0.0]}} for seed in (3, 4)]
+    first, second = document([E_THETA], rows, {}, {})["runs"]
+    assert first["curves"] == {"time_s": [0.0]} and "curves" not in second
 
 
 def test_what_the_paper_says_of_two() -> None:
