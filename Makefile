@@ -4,10 +4,11 @@ PYTHON ?= $(firstword $(shell command -v python3.11) python3)
 BIN := .venv/bin
 PACKAGES := runtime services hardware_sim dashboard experiments
 STAMP := .venv/.installed
+SHORT := --methods "(i),(ii),(iii),(iv),(iv) network"
 KEPT := $(or $(XDG_STATE_HOME),$(HOME)/.local/state)/myograft/experiments
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check format bench docs pictures experiments clean
+.PHONY: help setup demo test check format bench docs pictures schemas experiments clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -53,13 +54,19 @@ pictures: docs  ## the documents' pictures and tables, made anew
 		&& cp $$shots/growing.png docs/pictures/page.png
 	$(BIN)/python -m docs.results
 
+schemas: setup  ## make the shipped schemas anew; half an hour
+	for robot in elbow musashi_arm musashi_w; do $(BIN)/python -m experiments learn $$robot || exit 1; done
+	for robot in musashi_arm musashi_w; do \
+		$(BIN)/python -m experiments learn $$robot --drawing-off-mm 20 || exit 1; done
+
 experiments: setup  ## repeat the experiments; hours, and it goes on where it stopped
 	$(BIN)/python -m experiments elbow --json docs/results/elbow.json
 	$(BIN)/python -m experiments elbow --variants moved2,moved4,stiff,motor,soft,load \
-		--methods "(i),(ii),(iii),(iv),(iv) network" --controls converged --out $(KEPT)/elbow-variants \
+		$(SHORT) --controls converged --out $(KEPT)/elbow-variants \
 		--json docs/results/elbow-variants.json
-	$(BIN)/python -m experiments arm --variants clean,model,all --n-new 5,10,15,17,20,30 \
-		--json docs/results/arm.json
+	$(BIN)/python -m experiments arm --variants clean,model --seed 200 $(SHORT) --json docs/results/arm.json
+	$(BIN)/python -m experiments arm --variants moved4,stiff,load,all --seed 200 $(SHORT) \
+		--controls converged --out $(KEPT)/arm-variants --json docs/results/arm-variants.json
 	$(BIN)/python -m experiments lift --variants clean,model --json docs/results/lift.json
 	$(BIN)/python -m experiments ablate elbow --seeds 5 --json docs/results/ablate-elbow.json
 	$(BIN)/python -m experiments ablate arm --seeds 5 --variants model --json docs/results/ablate-arm.json

@@ -16,7 +16,7 @@ from experiments.ablate import ABLATIONS
 from experiments.against import against_tables
 from experiments.plots import draw_curves, draw_over_n
 from experiments.statistics import by_seed
-from experiments.tables import by_control, markdown_table, ordering_lines
+from experiments.tables import by_control, markdown_table, ordering_lines, work_told
 
 HERE = Path(__file__).parent
 PAGE = HERE / "science.md"
@@ -57,7 +57,8 @@ def render(name: str) -> str:
     if orders:
         words = "The paper's orderings, each with its paired 95 % interval"
         tables.append(_folded(words, ["\n".join(["```", *orders, "```"])]))
-    return "\n\n".join(tables)
+    worked_s = _document(name).get("worked_s")
+    return "\n\n".join([*tables, *([work_told(worked_s)] if worked_s else [])])
 
 
 def _folded(summary: str, blocks: Sequence[str]) -> str:
@@ -93,7 +94,11 @@ def draw(name: str) -> list[Path]:
 
 
 def _runs(name: str) -> list[Any]:
-    return list(json.loads(results(name).read_text(encoding="utf-8"))["runs"])
+    return list(_document(name)["runs"])
+
+
+def _document(name: str) -> dict[str, Any]:
+    return dict(json.loads(results(name).read_text(encoding="utf-8")))
 
 
 if __name__ == "__main__":

@@ -6,9 +6,11 @@ import argparse
 import importlib
 import sys
 
+from experiments.session import SessionError
 from experiments.store import SweepError
 from runtime.cli.main import UsageError
 from runtime.settings import SettingsError
+from services.body_schema.motions import TrainingError
 
 EXPERIMENTS = {
     "learn": "a robot's first body schema, from motion under disturbed loads",
@@ -43,7 +45,7 @@ def main() -> int:
     except (UsageError, SettingsError) as error:
         print(f"python -m experiments {args.experiment}: {error}", file=sys.stderr)
         return 2
-    except SweepError as error:
+    except (SweepError, SessionError, TrainingError) as error:
         print(f"python -m experiments {args.experiment}: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt as stop:

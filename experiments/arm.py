@@ -22,6 +22,7 @@ from experiments.statistics import Run
 from experiments.sweep import Unit
 from experiments.tables import Measure
 from experiments.variants import ARM_VARIANTS
+from services.body_schema.train import Recipe
 
 TASK = "reach"
 COMPARED = ("(i)", "(ii)", "(iii)")  # over whose sum R_f is taken
@@ -75,16 +76,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sweep; tell, draw and keep what it found."""
     chosen = options.read(args, CHOICES)
-    work = partial(one_unit, methods=chosen.methods, controls=chosen.controls, quick=chosen.quick)
+    work = partial(one_unit, methods=chosen.methods, controls=chosen.controls, recipe=chosen.recipe)
     title = "five joints, an eleventh muscle is added"
     return carry_out(CHOICES, chosen, work, ARM.fingerprint(), MEASURES, title=title)
 
 
 def one_unit(
-    unit: Unit, methods: tuple[str, ...], controls: tuple[str, ...], quick: bool
+    unit: Unit, methods: tuple[str, ...], controls: tuple[str, ...], recipe: Recipe
 ) -> list[Run]:
     """Everything of one robot, one variant and one number of motions."""
-    runs = ARM.unit(unit, methods, controls, quick)
+    runs = ARM.unit(unit, methods, controls, recipe)
     compare_sharing(runs)
     return runs
 

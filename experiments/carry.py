@@ -24,7 +24,7 @@ BETWEEN = 4  # pieces into which the way from one target to the next is cut
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Options of `lift`."""
+    """Options of `carry`."""
     parser.add_argument("robot", nargs="?", default="musashi_w", help="robot or robot file")
     parser.add_argument("--task", default="lift")
     parser.add_argument("--role", default="shoulder_pitch", help="whose tensions are compared")

@@ -27,6 +27,7 @@ from runtime.settings import RobotSettings, load_robot
 from services.body_schema.fit_wires import USUAL
 from services.body_schema.model import BodyModel
 from services.body_schema.schema import Schema
+from services.body_schema.train import Recipe
 from services.logic.arm import Arm
 
 CONVERGED = "converged"
@@ -71,17 +72,18 @@ class Comparison:
             "robot": robot,
             "body_crc": zlib.crc32(settings.body_file.read_bytes()),
             "variants": {name: variant.told(settings) for name, variant in self.variants.items()},
-            "recipes": [asdict(train.NEW), asdict(train.TEACH)],
+            "teach": asdict(train.TEACH),
             "beliefs": asdict(USUAL),
             "descent": asdict(Descent()),
         }
 
     def unit(
-        self, unit: Unit, methods: tuple[str, ...], controls: tuple[str, ...], quick: bool
+        self, unit: Unit, methods: tuple[str, ...], controls: tuple[str, ...], recipe: Recipe
     ) -> list[Run]:
         """All runs of one unit; N_new 0 are the baselines.
 
-        `controls` are of `CONTROLS`, or of `SHARINGS`. The paper's is for what the paper has.
+        `recipe` is that of the paper's methods. `controls` are of `CONTROLS`, or of `SHARINGS`;
+        the paper's is for what the paper has.
         """
         variant = self.variants[unit.variant]
         settings = variant.settings(load_robot(self.robot))
@@ -107,7 +109,7 @@ class Comparison:
                     motions = settled(collected.new) if papers else collected.new
                     with trials.learning():
                         schemas[papers] = relearned(
-                            method, network, motions, settings, unit.seed, quick
+                            method, network, motions, settings, unit.seed, recipe
                         )
                 trials.run(method, control, schemas[papers], collected)
         if {"(iv)", "(iv) network"} & {*methods}:

@@ -23,6 +23,7 @@ from experiments.statistics import Run
 from experiments.sweep import Unit
 from experiments.tables import Measure
 from experiments.variants import VARIANTS
+from services.body_schema.train import Recipe
 
 CHOICES = Choices(
     experiment="elbow",
@@ -69,16 +70,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sweep; tell, draw and keep what it found."""
     chosen = options.read(args, CHOICES)
-    work = partial(one_unit, methods=chosen.methods, controls=chosen.controls, quick=chosen.quick)
+    work = partial(one_unit, methods=chosen.methods, controls=chosen.controls, recipe=chosen.recipe)
     title = "one joint, a fourth muscle is added"
     return carry_out(CHOICES, chosen, work, ELBOW.fingerprint(), MEASURES, title=title)
 
 
 def one_unit(
-    unit: Unit, methods: tuple[str, ...], controls: tuple[str, ...], quick: bool
+    unit: Unit, methods: tuple[str, ...], controls: tuple[str, ...], recipe: Recipe
 ) -> list[Run]:
     """Everything of one robot, one variant and one number of motions."""
-    return ELBOW.unit(unit, methods, controls, quick)
+    return ELBOW.unit(unit, methods, controls, recipe)
 
 
 def score(rig: Rig) -> dict[str, float]:

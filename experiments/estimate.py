@@ -19,9 +19,8 @@ from experiments import estimate_findings as findings
 from experiments.asked import DIRECT, Asked, of_first_schema, of_grown_schema
 from experiments.collect import Recording, collect_old
 from experiments.learn import usual_s
-from experiments.progress import bars
+from experiments.progress import Narrate, bars
 from experiments.rig import shipped_schema
-from experiments.sequence import Narrate
 from experiments.session import SessionError
 from experiments.statistics import Run
 from experiments.trial import collect, start

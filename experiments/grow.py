@@ -12,9 +12,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from experiments.progress import bars
+from experiments.progress import Narrate, bars
 from experiments.rig import Rig
-from experiments.sequence import Narrate, Result, Trace, run_sequence
+from experiments.sequence import Result, Trace, run_sequence
 from experiments.session import RigSession
 from runtime.settings import RobotSettings, load_robot
 

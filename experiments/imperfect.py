@@ -29,7 +29,7 @@ REST_N = 8.0  # tension at which lengths were zeroed
 REFINE_SEED = 1000  # and up: of robots that refine, which no experiment tries anything on
 
 
-def drawn_wires(settings: RobotSettings, error_m: float, seed: int) -> WireModel:
+def displaced_wires(settings: RobotSettings, error_m: float, seed: int) -> WireModel:
     """The robot's wires with every site `error_m` off, each in a random direction."""
     paths = nominal_paths(settings.body_file)
     wiring = Wiring(settings.body_file, settings.joints, {n: paths[n] for n in settings.muscles})
@@ -56,7 +56,7 @@ def learn_drawn(
     progress: Callable[[int, int, float, float, float], None] | None = None,
 ) -> Schema:
     """h_old of the drawing."""
-    model = drawn_wires(settings, error_m, seed)
+    model = displaced_wires(settings, error_m, seed)
     theta, f = _samples(settings, len(model.muscles), np.random.default_rng([seed, 8]))
     schema = train.train_old(
         model.joints,

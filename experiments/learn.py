@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from experiments.collect import Array, Recording, collect_old
 from experiments.imperfect import learn_drawn, refine_drawn
 from experiments.progress import bars
+from runtime.cli.main import UsageError
 from runtime.settings import RobotSettings, load_robot
 from services.body_schema import train
 from services.body_schema.motions import SLACK_N, residuals_m
@@ -21,6 +22,7 @@ from services.body_schema.schema import Schema
 from services.logic.wiring import served
 
 HELD_OUT_EVERY = 10
+LEAST_S = 20.0  # of motion: below, hardly anything is left to learn from
 DURATION_S = 500.0
 REFINE_MOTIONS = 5  # as few as the experiments' least on a body of several joints
 # For bodies of more than one joint: tried on musashi_arm, not searched.
@@ -51,22 +53,30 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"of the robot, that refine what a drawing taught (default {REFINE_MOTIONS}; 0: none)",
     )
-    parser.add_argument("--out", type=Path, help="default: the robot file's schema")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="default: the robot file's schema; of a drawing, NAME_model.safetensors beside it",
+    )
     parser.add_argument("--quick", action="store_true", help="a tenth of motion and training")
 
 
 def run(args: argparse.Namespace) -> int:
     """Collect, train, print the residuals on held-out samples, write the schema."""
     settings = load_robot(args.robot)
-    out = args.out or settings.schema_file
-    if out is None:
-        print(f"{settings.file}: [robot] names no schema; give --out FILE")
-        return 2
+    out = args.out or _usual_out(settings, args)
+    if args.seconds is not None and args.seconds < LEAST_S:
+        raise UsageError(f"--seconds {args.seconds:g}: give {LEAST_S:g} at least")
+    if args.drawing_off_mm is not None and args.drawing_off_mm < 0.0:
+        raise UsageError(f"--drawing-off-mm {args.drawing_off_mm:g}: give 0 or more")
+    if args.refine_motions < 0:
+        raise UsageError(f"--refine-motions {args.refine_motions}: give 0 or more")
     start = time.monotonic()
     if args.drawing_off_mm is not None:
         schema = _from_drawing(settings, args)
         return _write(schema, out, start)
-    seconds = (args.seconds or usual_s(settings)) / (10 if args.quick else 1)
+    seconds = usual_s(settings) if args.seconds is None else args.seconds
+    seconds /= 10 if args.quick else 1
     with bars() as narrate:
         recording = collect_old(
             settings, args.seed, seconds, lambda s: narrate("collect", round(100 * s), 100)
@@ -81,6 +91,18 @@ def run(args: argparse.Namespace) -> int:
     words = _by_muscle(schema, length_mm)
     print(f"held-out samples: length (mask 110) {words}; angle (mask 011) {angle_rad:.4f} rad")
     return _write(schema, out, start)
+
+
+def _usual_out(settings: RobotSettings, args: argparse.Namespace) -> Path:
+    file = settings.schema_file
+    if file is None:
+        raise UsageError(f"{settings.file}: [robot] names no schema; give --out FILE")
+    return file if args.drawing_off_mm is None else of_drawing(file)
+
+
+def of_drawing(schema_file: Path) -> Path:
+    """Where the schema stands that a drawing taught, beside the robot's own."""
+    return schema_file.with_name(f"{schema_file.stem}_model{schema_file.suffix}")
 
 
 def _from_drawing(settings: RobotSettings, args: argparse.Namespace) -> Schema:

@@ -28,6 +28,7 @@ from experiments.tables import Measure
 from experiments.variants import LIFT_VARIANTS
 from runtime.messages import Message, WorldTruth
 from runtime.settings import RobotSettings
+from services.body_schema.train import Recipe
 
 TASK, ROLE = "lift", "shoulder_pitch"
 CURVE_NS = 250_000_000
@@ -58,16 +59,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the sweep; tell, draw and keep what it found."""
     chosen = options.read(args, CHOICES)
-    work = partial(one_unit, methods=chosen.methods, controls=chosen.controls, quick=chosen.quick)
+    work = partial(one_unit, methods=chosen.methods, controls=chosen.controls, recipe=chosen.recipe)
     title = "a dumbbell is lifted, a third shoulder-pitch muscle is added"
     return carry_out(CHOICES, chosen, work, LIFT.fingerprint(), MEASURES, title=title)
 
 
 def one_unit(
-    unit: Unit, methods: tuple[str, ...], controls: tuple[str, ...], quick: bool
+    unit: Unit, methods: tuple[str, ...], controls: tuple[str, ...], recipe: Recipe
 ) -> list[Run]:
     """Everything of one robot, one variant and one number of motions."""
-    return LIFT.unit(unit, methods, controls, quick)
+    return LIFT.unit(unit, methods, controls, recipe)
 
 
 class Peak:

@@ -47,10 +47,9 @@ def relearned(
     motions: tuple[Motion, ...],
     settings: RobotSettings,
     seed: int,
-    quick: bool,
+    recipe: train.Recipe,
 ) -> Schema:
     """By one of the paper's methods; the motions' last column is the robot's spare."""
-    recipe = replace(train.NEW, steps=train.NEW.steps // 10) if quick else train.NEW
     return train.relearn(
         old,
         motions,

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from experiments.sweep import BACKENDS, Unit
 from runtime.cli.main import UsageError
 from runtime.hubs import state_home
+from services.body_schema.train import NEW, Recipe
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Options:
     out: Path
     json: Path | None
     quick: bool
+    recipe: Recipe
     fresh: bool
 
     def units(self, experiment: str) -> list[Unit]:
@@ -90,6 +93,13 @@ def configure(parser: argparse.ArgumentParser, choices: Choices) -> None:
     )
     add("--backend", default="loky", help="loky: this host (default); dask: a cluster's workers")
     add("--address", default="", metavar="URL", help="of its scheduler: tcp://HOST:8786")
+    add(
+        "--steps",
+        default=str(NEW.steps),
+        metavar="N",
+        help=f"of relearning by (i) to (iii), at least (default {NEW.steps}); needs another --out",
+    )
+    add("--rate", default=str(NEW.rate), metavar="X", help=f"of it, at its highest ({NEW.rate:g})")
     add("--json", type=Path, metavar="FILE", help="every single run, means and orderings")
     add(
         "--out",
@@ -135,8 +145,22 @@ def read(args: argparse.Namespace, choices: Choices) -> Options:
         out=args.out or _out(choices, quick=args.quick),
         json=args.json,
         quick=args.quick,
+        recipe=_recipe(args),
         fresh=args.fresh,
     )
+
+
+def _recipe(args: argparse.Namespace) -> Recipe:
+    """How long and how hard (i) to (iii) learn; as many more epochs as steps."""
+    steps = _count("--steps", args.steps, 1)
+    try:
+        rate = float(args.rate)
+    except ValueError:
+        rate = math.nan
+    if not 0.0 < rate < 1.0:
+        raise UsageError(f"--rate {args.rate}: give a number between 0 and 1")
+    steps = steps // 10 if args.quick else steps
+    return replace(NEW, steps=steps, passes=math.ceil(NEW.passes * steps / NEW.steps), rate=rate)
 
 
 def _out(choices: Choices, *, quick: bool) -> Path:

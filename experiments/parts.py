@@ -60,7 +60,7 @@ class Part:
         beliefs: what the fit believes.
         at_rest: whether it sees the samples at rest alone.
         arm: what collects.
-        copy, polish: how the network is taught.
+        copy, widen, polish: how the network is taught.
         controls: what is tried.
     """
 
@@ -69,6 +69,7 @@ class Part:
     at_rest: bool = False
     arm: type[Arm] = Arm
     copy: bool = True
+    widen: bool = True
     polish: bool = True
     controls: tuple[str, ...] = (WIRES,)
 
@@ -90,7 +91,10 @@ PARTS = {
     "at rest only": Part("samples in motion", at_rest=True),
     "lengths unfelt": Part("collecting, targets that follow the length error", arm=Unfelt),
     "guest unreckoned": Part("collecting, the guest's torque in the plan", arm=Uncarried),
-    "no polish": Part("the least squares of the last layer", polish=False, controls=(NETWORK,)),
+    "not widened": Part("the units that are added in the end", widen=False, controls=(NETWORK,)),
+    "descent alone": Part(
+        "these, and the least squares of the last layer", polish=False, controls=(NETWORK,)
+    ),
     "no copy": Part("h_old's weights to begin with", copy=False, controls=(NETWORK,)),
 }
 
@@ -123,5 +127,6 @@ def learned(
         seed=seed,
         recipe=recipe,
         copy=part.copy,
+        widen=part.widen,
         polish=part.polish,
     )

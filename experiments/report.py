@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from experiments.options import Choices, Options
@@ -19,6 +20,7 @@ from experiments.tables import (
     markdown_table,
     ordering_lines,
     text_table,
+    work_told,
 )
 
 
@@ -40,6 +42,7 @@ def carry_out(
         **fingerprint,
         "methods": options.methods,
         "controls": options.controls,
+        "recipe": asdict(options.recipe),
         "quick": options.quick,
     }
     with Store(options.out, settings, fresh=options.fresh) as store, bars() as narrate:
@@ -87,9 +90,10 @@ def tell(
                 files += draw_variants(at, drawn, some, title=words, known=known)
         if any("curves" in run for run in runs):
             files += draw_curves(options.out / choices.experiment, runs, title=title)
+        print(f"\n{work_told(outcome.worked_s)}")
         print("\nwritten:", *files, options.out / "tables.md", sep="\n  ")
     if options.json:
-        told = document(measures, runs, outcome.failed, fingerprint)
+        told = document(measures, runs, outcome.failed, fingerprint, outcome.worked_s)
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(told, indent=1, allow_nan=False) + "\n")
     if outcome.failed:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dashboard.plots import MANY
+from experiments.progress import Narrate
 from experiments.score import Score, SweepScorer
 from experiments.session import Session, SessionError
 from runtime import messages as m
@@ -22,8 +23,6 @@ GROWTH_LIMIT_S = 900.0
 TASK_LIMIT_S = 300.0
 TRACE_NS = 50_000_000
 STAGES = ("collect", "relearn", "adopt", "resume")
-
-Narrate = Callable[[str, int, int], None]  # what is being done, step, steps
 
 
 @dataclass

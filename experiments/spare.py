@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import mujoco as mj
 import numpy as np
 from numpy.typing import NDArray
 
 from experiments.feasibility import least_norm
 from experiments.proposal import Limits
-from hardware_sim.geometry import Geometry
-from runtime.messages import MusclePath, Place
+from hardware_sim.geometry import Geometry, beside_wire
+from runtime.messages import MusclePath
 
 Array = NDArray[np.float64]
 
 ASIDE_M = 0.006  # how far its places lie from those of the muscle that it helps
+SHIFTS_M = ASIDE_M * np.concatenate((np.eye(3), -np.eye(3)))
 ASKED = 60  # postures that are asked what it would bring
 
 
@@ -56,7 +55,8 @@ def help_of(body: Path, geometry: Geometry, angle_rad: Array, asked: Limits) -> 
         shared = _shared_n(grown, drawn, asked)[:, [helped, -1]]
         return float(shared.max(axis=1).mean()) if len(shared) else math.inf
 
-    return Help(name, beside, min(_paths(body, beside), key=left_n))
+    ways = (beside_wire(body, beside, shift) for shift in SHIFTS_M)
+    return Help(name, beside, min(ways, key=left_n))
 
 
 def _shared_n(geometry: Geometry, angle_rad: Array, asked: Limits) -> Array:
@@ -67,33 +67,3 @@ def _shared_n(geometry: Geometry, angle_rad: Array, asked: Limits) -> Array:
         found = least_norm(jacobian, torque, asked.floor_n, asked.ceiling_n)
         rows += [] if found is None else [found]
     return np.array(rows)
-
-
-def _paths(body: Path, wire: str) -> Iterator[MusclePath]:
-    """The wire's own way, moved along each axis of the links that it runs over."""
-    spec = mj.MjSpec.from_file(str(body))
-    model = spec.compile()
-    data = mj.MjData(model)
-    mj.mj_kinematics(model, data)
-    stops = list(spec.tendon(wire).path)
-    at_m = [_position_m(data, stop) for stop in stops]
-    link = data.body(stops[0].target.parent.name)
-    way = link.xmat.reshape(3, 3).T @ (at_m[1] - at_m[0])
-    direction = tuple(np.round(way / np.linalg.norm(way), 3).tolist())
-    for shift in ASIDE_M * np.concatenate((np.eye(3), -np.eye(3))):
-        first, *relays = (_place(stop, shift) for stop in stops)
-        yield MusclePath(attachment=first, direction=direction, relays=tuple(relays))
-
-
-def _position_m(data: mj.MjData, stop: mj.MjsWrap) -> Array:
-    name = stop.target.name
-    there = data.site(name) if stop.type == mj.mjtWrap.mjWRAP_SITE else data.geom(name)
-    return np.array(there.xpos)
-
-
-def _place(stop: mj.MjsWrap, shift_m: Array) -> Place:
-    if stop.type != mj.mjtWrap.mjWRAP_SITE:
-        side = stop.sidesite.name if stop.sidesite else ""
-        return Place(wrap=stop.target.name, side=side)
-    position = np.round(np.asarray(stop.target.pos) + shift_m, 5).tolist()
-    return Place(link=stop.target.parent.name, position_m=tuple(position))

@@ -82,6 +82,10 @@ class Store:
         """All rows of those units."""
         return [run for key in keys for run in self._units.get(key, {}).get("runs", [])]
 
+    def worked_s(self, keys: Iterable[str]) -> float:
+        """Wall time that those units took, one after another."""
+        return float(sum(self._units.get(key, {}).get("wall_s", 0.0) for key in keys))
+
     def failed(self, keys: Iterable[str]) -> dict[str, str]:
         """Those among the units that failed when last tried, with their error."""
         found = {key: self._units.get(key, {}).get("error", "") for key in keys}

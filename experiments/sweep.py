@@ -52,6 +52,7 @@ class Outcome(NamedTuple):
 
     runs: list[Run]
     failed: dict[str, str]  # unit's key -> its error in one line
+    worked_s: float  # wall time of all, one after another
 
     def __str__(self) -> str:
         """The failures, a line each; empty if there are none."""
@@ -103,7 +104,7 @@ def run_units(
         ) from None
     except SweepError as error:
         raise SweepError(f"{error}; {done} of {len(wanted)} pieces are kept") from error
-    return Outcome(store.runs(wanted), store.failed(wanted))
+    return Outcome(store.runs(wanted), store.failed(wanted), store.worked_s(wanted))
 
 
 def _lines(

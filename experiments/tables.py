@@ -146,13 +146,22 @@ def _judged(order: Ordering) -> str:
     return "holds" if order.claim == f"{order.a} < {order.b}" else "does not hold"
 
 
+def work_told(worked_s: float) -> str:
+    """How long everything took, in words."""
+    return (
+        f"All pieces one after another took {worked_s / 60:.1f} min, "
+        f"two at a time half of it: {worked_s / 120:.1f} min."
+    )
+
+
 def document(
     measures: Sequence[Measure],
     runs: Sequence[Run],
     failed: Mapping[str, str],
     fingerprint: Mapping[str, Any],
+    worked_s: float,
 ) -> dict[str, Any]:
-    """Everything, for `--json`: settings, means, orderings, every single run.
+    """Everything, for `--json`: settings, means, orderings, every single run, what it all took.
 
     What is not a number (the spread of one seed, its interval) is null. Curves are kept of the
     first seed alone.
@@ -181,6 +190,7 @@ def document(
         "means": told,
         "orderings": ordered,
         "failed": dict(failed),
+        "worked_s": round(worked_s, 1),
         "runs": list(runs),
     }
 

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, field
 
 import msgspec
 
+from experiments.learn import of_drawing
 from runtime.cli.main import UsageError
 from runtime.settings import RobotSettings
 from services.body_schema.schema import Schema
@@ -30,7 +31,7 @@ class Variant:
     text: str
     simulation: dict[str, float] = field(default_factory=dict)
     believed_load: float = 1.0
-    schema: str = ""  # file of another h_old than the robot file's, beside that
+    drawn: bool = False  # h_old is what a drawing taught, not the robot itself
 
     def old(self, settings: RobotSettings) -> Schema:
         """h_old."""
@@ -39,14 +40,14 @@ class Variant:
     def told(self, settings: RobotSettings) -> dict[str, object]:
         """What decides about results: all of it but the words."""
         known = asdict(self) | {"schema_crc": zlib.crc32(self._stored(settings))}
-        del known["text"], known["schema"]
+        del known["text"], known["drawn"]  # the schema's sum tells
         return known
 
     def _stored(self, settings: RobotSettings) -> bytes:
         file = settings.schema_file
         if file is None:
             raise UsageError(f"{settings.file}: an experiment begins with a schema; name one")
-        return (file.with_name(self.schema) if self.schema else file).read_bytes()
+        return (of_drawing(file) if self.drawn else file).read_bytes()
 
     def settings(self, settings: RobotSettings) -> RobotSettings:
         """The robot of this variant."""
@@ -79,12 +80,11 @@ VARIANTS = {
     "load": Variant("the load is known 10 % wrong", believed_load=1.1),
 }
 
-MODEL = "musashi_arm_model.safetensors"
 ARM_VARIANTS = {
     "clean": Variant("h_old from the arm itself; nothing but the assembly error"),
     "model": Variant(
         "h_old from a geometric model, sites 20 mm off, no friction, refined on five motions",
-        schema=MODEL,
+        drawn=True,
     ),
     "moved4": Variant("old insertions 4 mm elsewhere since h_old", {"moved_m": 0.004}),
     "stiff": Variant("the new muscle's elastic element twice as stiff", {"spare_stiffness": 2.0}),
@@ -101,7 +101,7 @@ ARM_VARIANTS = {
             "length_noise_m": 6e-5,
             "angle_noise_rad": 3e-3,
         },
-        schema=MODEL,
+        drawn=True,
     ),
 }
 
@@ -109,6 +109,6 @@ LIFT_VARIANTS = {
     "clean": Variant("h_old from the robot itself; nothing but the assembly error"),
     "model": Variant(
         "h_old from a geometric model, sites 20 mm off, no friction, refined on five motions",
-        schema="musashi_w_model.safetensors",
+        drawn=True,
     ),
 }

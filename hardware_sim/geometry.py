@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.coordinates import BALL, HINGE, Coordinates, coordinates_of
-from runtime.messages import MusclePath
+from runtime.messages import MusclePath, Place
 
 Array = NDArray[np.float64]
 
@@ -112,6 +112,34 @@ class Geometry:
     def move_site(self, site: str, position_m: Array) -> None:
         """Put a site elsewhere on its link, at once and without compiling."""
         self._model.site(site).pos = position_m
+
+
+def beside_wire(body_file: Path, wire: str, shift_m: Array) -> MusclePath:
+    """A wire's own way, its places moved by `shift_m` (3,) in their links' frames."""
+    spec = mj.MjSpec.from_file(str(body_file))
+    model = spec.compile()
+    data = mj.MjData(model)
+    mj.mj_kinematics(model, data)
+    stops = list(spec.tendon(wire).path)
+    start_m, next_m = (_position_m(data, stop) for stop in stops[:2])
+    way = data.body(stops[0].target.parent.name).xmat.reshape(3, 3).T @ (next_m - start_m)
+    x, y, z = np.round(way / np.linalg.norm(way), 3).tolist()
+    first, *relays = (_place(stop, shift_m) for stop in stops)
+    return MusclePath(attachment=first, direction=(x, y, z), relays=tuple(relays))
+
+
+def _position_m(data: mj.MjData, stop: mj.MjsWrap) -> Array:
+    name = stop.target.name
+    there = data.site(name) if stop.type == mj.mjtWrap.mjWRAP_SITE else data.geom(name)
+    return np.array(there.xpos)
+
+
+def _place(stop: mj.MjsWrap, shift_m: Array) -> Place:
+    if stop.type != mj.mjtWrap.mjWRAP_SITE:
+        side = stop.sidesite.name if stop.sidesite else ""
+        return Place(wrap=stop.target.name, side=side)
+    x, y, z = np.round(np.asarray(stop.target.pos) + shift_m, 5).tolist()
+    return Place(link=stop.target.parent.name, position_m=(x, y, z))
 
 
 def _link(spec: mj.MjSpec, name: str) -> mj.MjsBody:

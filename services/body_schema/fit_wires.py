@@ -57,16 +57,16 @@ USUAL = Beliefs()
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
-    """theta (T, N) [rad], f (T, M) [N], l (T, M) [m]; weight (T, M) 0 where nothing is known."""
+class Weighed:
+    """theta (T, N) [rad], f (T, M) [N], l (T, M) [m], each length with its deviation."""
 
     theta: Array
     f: Array
     length: Array
     sigma: Array  # (T, M) [m]; inf where nothing is known
 
-    def __add__(self, other: Samples) -> Samples:
-        return Samples(
+    def __add__(self, other: Weighed) -> Weighed:
+        return Weighed(
             np.concatenate((self.theta, other.theta)),
             np.concatenate((self.f, other.f)),
             np.concatenate((self.length, other.length)),
@@ -111,16 +111,16 @@ def fit_wires(
     return Wires(geometry.muscles, geometry.paths, sites, offset, stretch)
 
 
-def _measured(theta: Array, f: Array, length: Array) -> Samples:
+def _measured(theta: Array, f: Array, length: Array) -> Weighed:
     """Sensor noise in metres; a slack wire's length says nothing."""
     compliance = 0.008 / (np.maximum(f, SLACK_N) + 8.0)  # m/N of a usual element
     sigma = np.hypot(DATA_SIGMA_M, compliance * TENSION_SIGMA_N)
-    return Samples(theta, f, length, np.where(f >= SLACK_N, sigma, np.inf))
+    return Weighed(theta, f, length, np.where(f >= SLACK_N, sigma, np.inf))
 
 
 def _virtual(
-    old: Schema, muscles: Sequence[str], data: Samples, count: int, rng: np.random.Generator
-) -> Samples:
+    old: Schema, muscles: Sequence[str], data: Weighed, count: int, rng: np.random.Generator
+) -> Weighed:
     """What h_old says where it was learned, trusted as far as it is right on the new motion."""
     columns = [muscles.index(name) for name in old.muscles]
     low, high = old.theta_range_rad.T
@@ -138,10 +138,10 @@ def _virtual(
     length[:, columns] = old.lengths(theta, f_old)
     excess = np.sqrt(np.maximum(misfit**2 - VIRTUAL_SIGMA_M**2, 0.0))
     sigma[:, columns] = np.hypot(VIRTUAL_SIGMA_M, MISFIT_COUNTS * excess)
-    return Samples(theta, f, length, sigma)
+    return Weighed(theta, f, length, sigma)
 
 
-def _start(geometry: Geometry, data: Samples, beliefs: Beliefs) -> tuple[Array, Array, Array]:
+def _start(geometry: Geometry, data: Weighed, beliefs: Beliefs) -> tuple[Array, Array, Array]:
     """Nominal sites, usual elements, and the offset that fits best to them."""
     m = len(geometry.muscles)
     sites = geometry.sites_m.copy()
@@ -167,7 +167,7 @@ def _like(mean: Array, count: int, beliefs: Beliefs) -> tuple[Array, Array]:
 
 def _descend(
     geometry: Geometry,
-    data: Samples,
+    data: Weighed,
     sites: Array,
     offset: Array,
     stretch: Array,

@@ -163,14 +163,16 @@ def teach(
     seed: int = 0,
     recipe: Recipe = TEACH,
     copy: bool = True,
+    widen: bool = True,
     polish: bool = True,
     progress: Progress | None = None,
 ) -> Schema:
     """h_new as a pupil of somebody who knows l = teacher(theta, f), (B, N), (B, M) -> (B, M).
 
     Weights are copied from h_old as in `relearn`, and the last layer, which may once have been
-    solved for, is calmed first (`polish.calmed`). `polish` adds units at the end (`widen.py`) and
-    solves for the last layer; its usual residuals are those on the motions. The pupil is asked at
+    solved for, is calmed first (`polish.calmed`). In the end `polish` solves for the last layer,
+    and `widen` adds units for it to be solved with (`widen.py`); without `polish` they would say
+    nothing and are left out. The usual residuals are those on the motions. The pupil is asked at
     random (theta, f), more often at low tension, where elements are soft.
 
     Raises:
@@ -191,7 +193,8 @@ def teach(
     lesson = masked(start, asked, tension, answers)
     taught = replace(start, weights=_train(start, lesson, None, recipe, seed, progress))
     if polish:
-        taught = widened(taught, crossed_joints(teacher, asked, tension), seed)
+        if widen:
+            taught = widened(taught, crossed_joints(teacher, asked, tension), seed)
         taught = polished(taught, asked, tension, answers, robust=True)
     taught = _with_residuals(taught, theta, f, length)
     return replace(taught, tension_range_n=np.tile((SLACK_N, strong), (len(start.muscles), 1)))

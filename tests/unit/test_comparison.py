@@ -31,7 +31,6 @@ SHORT = train.Recipe(steps=12, batch=512, rate=1e-3)  # of the network, which do
 @pytest.fixture(autouse=True)
 def short_recipes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(train, "teach", partial(train.teach, recipe=SHORT))
-    monkeypatch.setattr(train, "relearn", partial(train.relearn, recipe=SHORT))
 
 
 def one_target(rig: Rig) -> dict[str, float]:
@@ -58,7 +57,7 @@ def rows(
     controls: Iterable[str] = CONTROLS,
 ) -> list[Run]:
     unit = Unit("elbow", "clean", 3, n_new)
-    return comparison.unit(unit, methods, tuple(controls), quick=True)
+    return comparison.unit(unit, methods, tuple(controls), SHORT)
 
 
 def without_time(found: list[Run]) -> list[dict[str, object]]:
@@ -131,7 +130,7 @@ def test_what_decides_about_results_is_in_the_fingerprint() -> None:
     one = ELBOW.fingerprint()
     assert one == TINY.fingerprint()
     assert replace(ELBOW, robot="musashi_arm").fingerprint() != one
-    assert set(one) == {"robot", "body_crc", "variants", "recipes", "beliefs", "descent"}
+    assert set(one) == {"robot", "body_crc", "variants", "teach", "beliefs", "descent"}
     told = one["variants"]
     assert isinstance(told, dict) and set(told) == set(VARIANTS)
     heavier = {**VARIANTS, "load": replace(VARIANTS["load"], believed_load=1.2)}

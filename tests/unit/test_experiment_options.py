@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from experiments.options import Choices, Options, configure, read
 from experiments.store import SweepError
 from experiments.sweep import Stopped
 from runtime.cli.main import UsageError
+from services.body_schema.train import NEW
 
 CHOICES = Choices(
     "elbow",
@@ -46,6 +48,16 @@ def test_defaults(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     quick = options("--quick")
     assert quick.seeds == (0, 1) and quick.n_new == (3,) and quick.out.name == "elbow-quick"
     assert options("--quick", "--seeds", "4").seeds == (0, 1, 2, 3)
+
+
+def test_how_long_and_how_hard_is_relearned() -> None:
+    assert options().recipe == NEW
+    assert options("--quick").recipe == replace(NEW, steps=300, passes=3)
+    asked = options("--steps", "9000", "--rate", "1e-3").recipe
+    assert asked == replace(NEW, steps=9000, passes=75, rate=1e-3)
+    for words in (("--steps", "0"), ("--steps", "some"), ("--rate", "0"), ("--rate", "fast")):
+        with pytest.raises(UsageError, match=f"{words[0]} {words[1]}: give"):
+            options(*words)
 
 
 def test_words() -> None:

@@ -189,7 +189,7 @@ def test_each_control_has_tables_of_its_own_and_the_paper_stands_beside_its_own(
 
 def test_curves_are_kept_of_the_first_seed_alone() -> None:
     rows = [{**run("(i)", 1, seed, 0.1), "curves": {"time_s": [0.0]}} for seed in (3, 4)]
-    first, second = document([E_THETA], rows, {}, {})["runs"]
+    first, second = document([E_THETA], rows, {}, {}, 0.0)["runs"]
     assert first["curves"] == {"time_s": [0.0]} and "curves" not in second
 
 
@@ -210,7 +210,9 @@ def test_one_seed_has_no_interval() -> None:
 
 def test_the_document_holds_everything_and_is_json() -> None:
     one = [run("(i)", 5, 0, 0.2), run("(ii)", 5, 0, 0.1)]
-    told = json.loads(json.dumps(document([E_THETA], one, {"k": "why"}, {"a": 1}), allow_nan=False))
+    told = json.loads(
+        json.dumps(document([E_THETA], one, {"k": "why"}, {"a": 1}, 90.04), allow_nan=False)
+    )
     assert (
         told["runs"] == one and told["failed"] == {"k": "why"} and told["fingerprint"] == {"a": 1}
     )

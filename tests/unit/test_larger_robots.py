@@ -58,7 +58,7 @@ def test_at_rest_the_lift_leaves_room_for_friction_and_the_spare_halves_it() -> 
     settings = load_robot("musashi_w")
     points = list(along(settings, settings.task[0], "shoulder_pitch"))
     even, norm = (np.max([getattr(p, k) for p in points], axis=0) for k in ("even_n", "norm_n"))
-    # in the rig friction adds a fifth: 215 N
+    # in the rig friction adds a quarter
     assert [even[0], norm[0]] == pytest.approx([180.0, 180.0], rel=0.1)
     assert even[1] < 0.5 * even[0]
     assert norm[1] < 0.7 * norm[0]  # it leaves more to the longest arm: the spare's

@@ -15,6 +15,7 @@ from experiments.statistics import Run
 from experiments.store import SweepError
 from experiments.sweep import Unit
 from experiments.tables import Measure
+from services.body_schema.train import NEW
 from tests.sweep_work import row
 
 CHOICES = Choices(
@@ -59,6 +60,7 @@ def test_everything_is_told_and_written(tmp_path: Path, capsys: pytest.CaptureFi
     kept = json.loads(told.read_text())
     assert len(kept["runs"]) == 3 * 2 * (1 + 2 * 2) and kept["failed"] == {}
     settings = {"mass_kg": 1.0, "methods": ["(i)", "(ii)"], "controls": [], "quick": False}
+    assert kept["fingerprint"].pop("recipe")["steps"] == NEW.steps
     assert kept["fingerprint"] == settings
 
 

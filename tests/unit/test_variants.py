@@ -30,7 +30,7 @@ def test_a_variant_changes_what_it_names_and_has_a_schema(
     assert msgspec.structs.replace(changed, simulation=settings.simulation) == settings
     old = variant.old(changed)
     assert (old.joints, old.muscles) == (settings.joints, settings.muscles)
-    assert (old.wires is not None) == bool(variant.schema)  # a drawing goes with its schema
+    assert (old.wires is not None) == variant.drawn  # a drawing goes with its schema
 
 
 def test_a_believed_load_makes_the_arm_pull_harder_and_leaves_the_robot_alone() -> None:
