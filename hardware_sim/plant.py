@@ -57,8 +57,7 @@ class Plant:
         self.drive = WireDrive(
             len(self.wires),
             settings.module.winding_speed_m_s,
-            self.simulation.ambient_degc,
-            self.simulation.heating_degc_n2,
+            self.simulation,
         )
         self.ruptured: set[str] = set()
         self.grasp = Grasp(settings.payload)

@@ -2,8 +2,8 @@
 
 One motor winds one wire on a spool. Its speed follows the command with a lag, falls with tension as
 a DC motor's does, and its winding warms with the square of the tension. The elastic element in
-series stretches by e when the wire carries f = a e + b e^2 + c e^3. Constants marked assumed are
-not public for the robots we model.
+series stretches by e when the wire carries f = a e + b e^2 + c e^3. The constants are the robot
+file's, `[simulation]`.
 """
 
 from __future__ import annotations
@@ -14,13 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware_sim.compiled import NUMBER, VECTOR, compiled, records
+from runtime.settings import Simulation
 
 Array = NDArray[np.float64]
-
-LAG_S = 0.004  # speed loop of the motor driver (assumed)
-STALL_TENSION_N = 450.0  # tension at which the motor can no longer wind (assumed)
-HEATING_DEGC_N2 = 0.0075  # steady rise per squared tension: 27 degC at 60 N (assumed)
-THERMAL_TIME_S = 240.0  # of the winding (assumed)
 
 MOTOR = np.dtype(
     [
@@ -41,21 +37,17 @@ class WireDrive:
         peak_speed_m_s, peak_tension_n: greatest so far; of speed, either way.
     """
 
-    def __init__(
-        self,
-        count: int,
-        speed_limit_m_s: float,
-        ambient_degc: float,
-        heating_degc_n2: float = HEATING_DEGC_N2,
-    ) -> None:
-        self.ambient_degc = ambient_degc
-        self._heating = heating_degc_n2
+    def __init__(self, count: int, speed_limit_m_s: float, constants: Simulation) -> None:
+        self._constants = constants
         self._limit_m_s = speed_limit_m_s
-        self._use(np.array([(0.0, ambient_degc, 0.0, 0.0)] * count, MOTOR))
+        self._use(np.array([self._cold()] * count, MOTOR))
+
+    def _cold(self) -> tuple[float, float, float, float]:
+        return (0.0, self._constants.ambient_degc, 0.0, 0.0)
 
     def add(self) -> None:
         """One more motor, at rest and cold."""
-        new = np.array([(0.0, self.ambient_degc, 0.0, 0.0)], MOTOR)
+        new = np.array([self._cold()], MOTOR)
         self._use(np.append(self._motors, new))
 
     def remove(self, index: int) -> None:
@@ -64,12 +56,14 @@ class WireDrive:
 
     def step(self, dt_s: float, command_m_s: Array, tension_n: Array, wire_m: Array) -> None:
         """Follow winding-speed commands for `dt_s`: adds to the lengths of wire, `wire_m`."""
-        _wind(self._motors, dt_s, self._limit_m_s, command_m_s, tension_n, wire_m)
+        lag_s, stall_n = self._constants.motor_lag_s, self._constants.stall_tension_n
+        _wind(self._motors, dt_s, self._limit_m_s, lag_s, stall_n, command_m_s, tension_n, wire_m)
 
     def warm(self, dt_s: float, tension_n: Array) -> None:
-        """Let the windings warm or cool for `dt_s`, short against `THERMAL_TIME_S`."""
-        rise = self._heating * tension_n * tension_n + self.ambient_degc - self.temperature_degc
-        self.temperature_degc += rise * (dt_s / THERMAL_TIME_S)
+        """Let the windings warm or cool for `dt_s`, short against their thermal time."""
+        x = self._constants
+        rise = x.heating_degc_n2 * tension_n * tension_n + x.ambient_degc - self.temperature_degc
+        self.temperature_degc += rise * (dt_s / x.thermal_time_s)
 
     def _use(self, motors: NDArray[np.void]) -> None:
         self._motors = motors
@@ -120,19 +114,21 @@ def elastic_stretch_m(tension_n: float, curve: tuple[float, float, float]) -> fl
     return float(min(r.real for r in roots if abs(r.imag) < 1e-9 and r.real >= -1e-12))
 
 
-@compiled(records(MOTOR), NUMBER, NUMBER, VECTOR, VECTOR, VECTOR)
+@compiled(records(MOTOR), NUMBER, NUMBER, NUMBER, NUMBER, VECTOR, VECTOR, VECTOR)
 def _wind(
     motors: Any,
     dt_s: float,
     limit_m_s: float,
+    lag_s: float,
+    stall_n: float,
     command_m_s: Array,
     tension_n: Array,
     wire_m: Array,
 ) -> None:
     for i in range(len(motors)):
         motor = motors[i]
-        change = (command_m_s[i] - motor.speed_m_s) * (dt_s / (LAG_S + dt_s))
-        winding = tension_n[i] * (limit_m_s / STALL_TENSION_N) - limit_m_s
+        change = (command_m_s[i] - motor.speed_m_s) * (dt_s / (lag_s + dt_s))
+        winding = tension_n[i] * (limit_m_s / stall_n) - limit_m_s
         speed = max(motor.speed_m_s + change, min(winding, 0.0))  # at stall it winds no more
         motor.speed_m_s = speed = min(speed, limit_m_s)
         wire_m[i] += speed * dt_s

@@ -150,6 +150,9 @@ class Simulation(_Table, frozen=True, kw_only=True):
     elastic_n_m: tuple[float, float, float] = (1000.0, 0.0, 7.5e7)  # f = a e + b e^2 + c e^3
     ambient_degc: float = 25.0  # where all temperatures begin
     heating_degc_n2: float = 0.0075  # steady rise of a winding per squared tension
+    thermal_time_s: float = 240.0  # in which a winding warms and cools
+    motor_lag_s: float = 0.004  # of the motor's speed behind its command
+    stall_tension_n: float = 450.0  # at which a motor winds no more
     # what nobody expects, for experiments; see experiments/variants.py
     moved_m: float = 0.0  # old insertions sit this far from where h_old learned them
     spare_stiffness: float = 1.0  # of an added muscle's elastic element, over the usual one's

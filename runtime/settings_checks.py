@@ -81,6 +81,9 @@ RANGES = (
     _Range("simulation", "angle_noise_rad", low_too=True),
     _Range("simulation", "wire_friction", high=2, low_too=True),
     _Range("simulation", "heating_degc_n2", low_too=True),
+    _Range("simulation", "thermal_time_s", low=1.0, low_too=True),
+    _Range("simulation", "motor_lag_s", low_too=True),
+    _Range("simulation", "stall_tension_n"),
     _Range("simulation", "ambient_degc", low=-40, high=80, low_too=True),
 )
 

@@ -10,8 +10,11 @@ import pytest
 from hardware_sim.compiled import INTEGER, NUMBER, VECTOR, compiled
 from hardware_sim.muscle_bank import CHECK_NS, Mode, MuscleBank
 from hardware_sim.muscle_rows import ROWS, Array
-from hardware_sim.wire_drive import LAG_S, STALL_TENSION_N, WireDrive, stretch_wires
+from hardware_sim.wire_drive import WireDrive, stretch_wires
+from runtime.settings import Simulation
 from runtime.wire.registers import HardwareError
+
+USUAL = Simulation()
 
 M = 200
 DT_S = 0.001
@@ -115,7 +118,7 @@ def test_what_is_odd_is_seen_in_any_muscle(
 
 def test_winding_motors() -> None:
     rng = np.random.default_rng(0)
-    drive = WireDrive(M, 0.25, 25.0)
+    drive = WireDrive(M, 0.25, USUAL)
     drive.speed_m_s[:] = before = rng.uniform(-0.25, 0.25, M)
     command, tension = rng.uniform(-0.3, 0.3, M), rng.uniform(0.0, 500.0, M)
     drive.peak_speed_m_s[:] = 0.1
@@ -123,8 +126,8 @@ def test_winding_motors() -> None:
     before_m = np.full(M, 0.3)
     wire_m = before_m.copy()
     drive.step(DT_S, command, tension, wire_m)
-    speed = before + (command - before) * DT_S / (LAG_S + DT_S)
-    speed = np.clip(speed, -0.25 * np.maximum(1.0 - tension / STALL_TENSION_N, 0.0), 0.25)
+    speed = before + (command - before) * DT_S / (USUAL.motor_lag_s + DT_S)
+    speed = np.clip(speed, -0.25 * np.maximum(1.0 - tension / USUAL.stall_tension_n, 0.0), 0.25)
     np.testing.assert_allclose(drive.speed_m_s, speed, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(wire_m - before_m, speed * DT_S, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(drive.peak_speed_m_s, np.maximum(np.abs(speed), 0.1), atol=1e-12)
@@ -145,7 +148,7 @@ def test_elastic_elements_and_friction_at_the_guides() -> None:
 
 def test_arrays_of_another_size_are_refused() -> None:
     with pytest.raises(IndexError):
-        WireDrive(3, 0.25, 25.0).step(DT_S, np.zeros(2), np.zeros(3), np.zeros(3))
+        WireDrive(3, 0.25, USUAL).step(DT_S, np.zeros(2), np.zeros(3), np.zeros(3))
 
 
 def test_where_machine_code_cannot_be_kept_it_is_made_each_time() -> None:

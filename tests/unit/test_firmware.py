@@ -8,8 +8,11 @@ from hardware_sim.module import JointModule
 from hardware_sim.muscle_bank import Mode, MuscleBank
 from hardware_sim.muscle_rows import Array
 from hardware_sim.wire_drive import WireDrive, elastic_stretch_m, elastic_tension_n
+from runtime.settings import Simulation
 from runtime.wire.packet import StatusError
 from runtime.wire.registers import BY_NAME, GOAL_BLOCK, HardwareError, Status
+
+USUAL = Simulation()
 
 MS = 1_000_000
 CURVE = (1000.0, 0.0, 7.5e7)  # elastic element: 35 kN/m at 150 N
@@ -116,7 +119,7 @@ def test_tension_stays_under_limit(mode: Mode, stretch_m_s: float) -> None:
     """A joint that is pushed stretches the wire by 30 mm, faster than a planned motion does."""
     bank = MuscleBank()
     module = MuscleModule(bank, bank.add(), serial=1)
-    drive = WireDrive(1, 0.25, 25.0)
+    drive = WireDrive(1, 0.25, USUAL)
     rng = np.random.default_rng(0)
     wire_m = np.array([0.1])
     path_m = 0.1 + elastic_stretch_m(20.0, CURVE)
