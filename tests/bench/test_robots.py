@@ -14,7 +14,6 @@ import pytest
 
 from runtime.settings import load_robot
 
-
 ROLE_PEAK = {"musashi_arm": 1.0, "musashi_w": 0.65}  # at most, after over before
 
 
