@@ -103,9 +103,10 @@ def request(robot: str, message: Message, timeout_s: float | None = None) -> int
 def show(replies: list[Reply], message: Message, whose: str = "") -> int:
     """Print replies, each line behind `whose`; 0 when all did what was asked, else 1."""
     if not replies:
+        word = type(message).__name__.lower()
         print(
-            f"myograft: {whose}nobody answered {type(message).__name__.lower()!r}: its process is not "
-            f"running or not ready. See: myograft status",
+            f"myograft: {whose}nobody answered {word!r}: its process is not running or not ready. "
+            f"See: myograft status",
             file=sys.stderr,
         )
         return REFUSED

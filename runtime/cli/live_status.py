@@ -11,7 +11,6 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from runtime import messages as m
 from runtime.cli.client import Client
 from runtime.cli.main import DONE, NOT_RUNNING
 from runtime.cli.status import Picture
