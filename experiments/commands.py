@@ -124,14 +124,14 @@ def _demo(args: argparse.Namespace) -> int:
         "recording": str(recording or ""),
         "summary_png": str(picture),
     }
-    figures["report"] = _report(settings, result, figures, time.monotonic() - start)
-    print("", *figures["report"], sep="\n")
+    report = _report(settings, result, figures, time.monotonic() - start)
+    print("", *report, sep="\n")
     print(f"recording                    {figures['recording']}")
     print(f"picture                      {figures['summary_png']}")
     if args.picture:
         shutil.copyfile(picture, args.picture)
     if args.json:
-        args.json.write_text(json.dumps(figures, indent=2) + "\n")
+        args.json.write_text(json.dumps({**figures, "report": report}, indent=2) + "\n")
     return 0
 
 
