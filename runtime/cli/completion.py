@@ -14,7 +14,6 @@ from pathlib import Path
 
 from runtime.cli.main import DISTRIBUTION, DONE
 from runtime.hubs import living_hubs, robot_home, state_home
-from runtime.runs import RunError, find_run
 from runtime.settings import ROBOTS
 
 LOGS = "logs/*.log"
@@ -83,6 +82,8 @@ def versions() -> set[str]:
 
 def logged() -> set[str]:
     """Processes that have a log in the run that `myograft logs` would show."""
+    from runtime.runs import RunError, find_run  # reads recordings: too much for every command
+
     with contextlib.suppress(RunError):
         return {log.stem for log in find_run("", LOGS).glob(LOGS)}
     return set()
