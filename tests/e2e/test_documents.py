@@ -83,10 +83,12 @@ def hasten(file: Path) -> None:
     for task in robot["task"]:
         few = f"targets_deg = {task['targets_deg'][:TARGETS]}"
         text = re.sub(r"^targets_deg = \[\n.*?^\]", few, text, count=1, flags=re.M | re.S)
-    for line in HASTE.splitlines():
-        key = line.partition(" =")[0]
-        if key in robot.get("growth", {}) | robot.get("control", {}):
-            text = re.sub(rf"^{key} = .*", line, text, flags=re.M)
+    if "growth" in robot:  # `myograft new` has written both tables
+        for table in HASTE.split("[")[1:]:
+            name, _, lines = table.partition("]\n")
+            for key in tomllib.loads(lines):
+                text = re.sub(rf"^{key} = .*\n", "", text, flags=re.M)
+            text = text.replace(f"[{name}]\n", f"[{name}]\n{lines}")
     file.write_text(text if "growth" in robot else text + HASTE)
 
 
@@ -239,7 +241,9 @@ def test_a_real_chain_is_rehearsed(clone: Path, capsys: pytest.CaptureFixture[st
             robot.kill()
 
 
-def test_a_robot_is_spread_over_hosts(clone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_robot_is_spread_over_hosts(
+    clone: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Two hosts' state folders, and a router between them as the how-to has it."""
     router = free_endpoint()
     config = zenoh.Config.from_file(ROOT / "deploy" / "zenoh" / "router.json5")
@@ -255,6 +259,9 @@ def test_a_robot_is_spread_over_hosts(clone: Path, monkeypatch: pytest.MonkeyPat
         monkeypatch.setenv("XDG_STATE_HOME", str(clone / "host-2"))
         for command in about(ELSEWHERE):
             assert main(list(command.words[1:])) == DONE, str(command)
+    said = capsys.readouterr().out
+    assert "biceps_1" in said, "status of a robot of another host"
+    assert "elbow/chain/arm/state: " in said, "and its rates"
 
 
 def test_every_command_belongs_to_a_chapter() -> None:
