@@ -48,10 +48,11 @@ docs: setup  ## the reference, made from the code
 
 pictures: docs  ## the documents' pictures and tables, made anew
 	mkdir -p docs/pictures
-	$(BIN)/myograft demo --picture docs/pictures/demo.png
+	$(BIN)/myograft demo --picture docs/pictures/demo.png --json docs/pictures/demo.json
 	$(BIN)/myograft view elbow --picture docs/pictures/view.png --at 63
 	shots=$$(mktemp -d) && ARTIFACTS=$$shots $(BIN)/pytest --quiet tests/e2e/test_page.py \
 		&& cp $$shots/growing.png docs/pictures/page.png
+	$(BIN)/myograft demo musashi_w --picture docs/pictures/lift.png --json docs/pictures/lift.json
 	$(BIN)/python -m docs.results
 
 schemas: setup  ## make the shipped schemas anew; half an hour

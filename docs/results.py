@@ -1,7 +1,8 @@
 """Write docs/science.md's tables and pictures from docs/results/*.json: `python -m docs.results`.
 
 Each JSON is what `python -m experiments NAME --json FILE` wrote: every single run. What was found
-by `ablate` and on variants is told, not drawn.
+by `ablate` and on variants is told, not drawn. The README shows what demos said, from what
+`myograft demo --json` wrote beside their pictures.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from experiments.tables import by_control, markdown_table, ordering_lines, work_
 
 HERE = Path(__file__).parent
 PAGE = HERE / "science.md"
+README = HERE.parent / "README.md"
+DEMOS = ("demo", "lift")  # of docs/pictures: NAME.png, NAME.json
 EXPERIMENTS = {"elbow": elbow, "arm": arm, "lift": lift}
 ESTIMATES = ("estimate-elbow", "estimate-arm")
 MEASURES = {
@@ -69,22 +72,55 @@ def _folded(summary: str, blocks: Sequence[str]) -> str:
 def with_results(page: str) -> str:
     """The page with all results between their markers."""
     for name in (*MEASURES, *ESTIMATES):
-        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-        if begin in page and results(name).exists():
-            before, _, rest = page.partition(begin)
-            page = f"{before}{begin}\n{render(name)}\n{end}{rest.partition(end)[2]}"
+        if results(name).exists():
+            page = _between(name, page, render(name))
     return page
+
+
+def with_demos(page: str) -> str:
+    """The page with what demos said between their markers; one that was not run is left."""
+    for name in DEMOS:
+        told = HERE / "pictures" / f"{name}.json"
+        if told.exists():
+            lines = json.loads(told.read_text(encoding="utf-8"))["report"]
+            page = _between(f"{name} output", page, "\n".join(["```", *lines, "```"]))
+    return page
+
+
+def _between(name: str, page: str, text: str) -> str:
+    begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+    if begin not in page:
+        return page
+    before, _, rest = page.partition(begin)
+    return f"{before}{begin}\n{text}\n{end}{rest.partition(end)[2]}"
+
+
+def pictures() -> list[str]:
+    """Names of all pictures that this module draws, without their suffixes."""
+    drawn = [f"{name}-{control}" for name in EXPERIMENTS for control in _controls(name)]
+    curves = [f"{name}-curves" for name in EXPERIMENTS if _curved(name)]
+    return [*drawn, *curves, *ESTIMATES]
+
+
+def _curved(name: str) -> bool:
+    return any("curves" in run for run in _runs(name))
+
+
+def _controls(name: str) -> list[str]:
+    runs = _runs(name)
+    several = len({run["n_new"] for run in runs} - {0}) > 1
+    return list(dict.fromkeys(run["control"] for run in runs)) if several else []
 
 
 def draw(name: str) -> list[Path]:
     """One picture for each control, once there are two numbers of motions for a line."""
     module = EXPERIMENTS[name]
     runs, files = _runs(name), []
-    if any("curves" in run for run in runs):
-        files += draw_curves(HERE / "pictures" / name, runs, title=f"{name}, the first seed")
-    if len({run["n_new"] for run in runs} - {0}) < 2:
-        return files
-    for control in dict.fromkeys(run["control"] for run in runs):
+    if _curved(name):
+        files += draw_curves(
+            HERE / "pictures" / f"{name}-curves", runs, title=f"{name}, the first seed"
+        )
+    for control in _controls(name):
         some = [run for run in runs if run["control"] == control]
         measures = [m for m in module.MEASURES if m.drawn and by_seed(some, m.figure)]
         path = HERE / "pictures" / f"{name}-{control}"
@@ -103,6 +139,7 @@ def _document(name: str) -> dict[str, Any]:
 
 if __name__ == "__main__":
     PAGE.write_text(with_results(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    README.write_text(with_demos(README.read_text(encoding="utf-8")), encoding="utf-8")
     for experiment in EXPERIMENTS:
         if results(experiment).exists():
             draw(experiment)

@@ -124,11 +124,14 @@ def _demo(args: argparse.Namespace) -> int:
         "recording": str(recording or ""),
         "summary_png": str(picture),
     }
-    _print(settings, result, figures, time.monotonic() - start)
+    report = _report(settings, result, figures, time.monotonic() - start)
+    print("", *report, sep="\n")
+    print(f"recording                    {figures['recording']}")
+    print(f"picture                      {figures['summary_png']}")
     if args.picture:
         shutil.copyfile(picture, args.picture)
     if args.json:
-        args.json.write_text(json.dumps(figures, indent=2) + "\n")
+        args.json.write_text(json.dumps({**figures, "report": report}, indent=2) + "\n")
     return 0
 
 
@@ -161,28 +164,28 @@ def _rows(settings: RobotSettings, result: Result) -> list[tuple[str, ...]]:
     return rows
 
 
-def _print(settings: RobotSettings, result: Result, figures: dict[str, Any], wall_s: float) -> None:
+def _report(
+    settings: RobotSettings, result: Result, figures: dict[str, Any], wall_s: float
+) -> list[str]:
+    """What is told of it, line by line."""
     limits, rows = settings.module, _rows(settings, result)
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    print()
+    lines = []
     for row in rows:
         first = row[0].ljust(widths[0])
         rest = "   ".join(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))
-        print(f"{first}   {rest}".rstrip())
-    print()
-    print(f"from plug to resumed motion  {figures['plug_to_resumed_s']:.1f} s of robot time")
-    print(f"relearning                   {figures['relearn_s']:.1f} s, {figures['n_new']} motions")
-    print(
+        lines.append(f"{first}   {rest}".rstrip())
+    return [
+        *lines,
+        "",
+        f"from plug to resumed motion  {figures['plug_to_resumed_s']:.1f} s of robot time",
+        f"relearning                   {figures['relearn_s']:.1f} s, {figures['n_new']} motions",
         f"greatest true tension        {result.peak_tension_n:.0f} N at any instant, "
-        f"{limits.tension_limit_n:.0f} N are allowed"
-    )
-    print(
+        f"{limits.tension_limit_n:.0f} N are allowed",
         f"fastest commanded length     {result.peak_target_speed_m_s:.2f} m/s, "
-        f"the motors wind {limits.winding_speed_m_s:.2f} m/s"
-    )
-    print(f"everything                   {wall_s:.0f} s of wall time")
-    print(f"recording                    {figures['recording']}")
-    print(f"picture                      {figures['summary_png']}")
+        f"the motors wind {limits.winding_speed_m_s:.2f} m/s",
+        f"everything                   {wall_s:.0f} s of wall time",
+    ]
 
 
 def _draw(settings: RobotSettings, run_dir: Path, trace: Trace, result: Result) -> Path:

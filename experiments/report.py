@@ -89,7 +89,7 @@ def tell(
                 at = options.out / f"{choices.experiment}-{control}-variants"
                 files += draw_variants(at, drawn, some, title=words, known=known)
         if any("curves" in run for run in runs):
-            files += draw_curves(options.out / choices.experiment, runs, title=title)
+            files += draw_curves(options.out / f"{choices.experiment}-curves", runs, title=title)
         print(f"\n{work_told(outcome.worked_s)}")
         print("\nwritten:", *files, options.out / "tables.md", sep="\n  ")
     if options.json:

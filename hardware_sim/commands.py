@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import sys
 from pathlib import Path
 
 from hardware_sim.faults import KINDS
 from runtime import messages as m
-from runtime.cli.client import Client, add_robot_argument, request, show, take_robot, with_robot
-from runtime.cli.completion import completed_by, named
-from runtime.cli.main import DONE, UsageError
-from runtime.settings import SettingsError, load_path
+from runtime.cli.client import Client, add_robot_argument, show, take_robot, with_robot
+from runtime.cli.completion import completed_by, named, robot_or
+from runtime.cli.main import DONE, REFUSED, UsageError
+from runtime.hubs import Hub
+from runtime.manifest import simulated
+from runtime.messages import Message
+from runtime.settings import SettingsError, load_path, load_robot
+
+BY_HAND = {
+    m.Plug: "hang the module on the end of its chain",
+    m.Unplug: "pull the module off its chain",
+    m.Fault: "only a simulation breaks on demand; pull a cable instead",
+}
 
 
 class Plug:
@@ -28,7 +39,7 @@ class Plug:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
         words = parser.add_argument("words", nargs="+", metavar="[ROBOT] MUSCLE")
-        completed_by(words, named("spare", "muscle"))
+        completed_by(words, robot_or(named("spare", "muscle")))
         parser.add_argument("--chain", default="", help="default: the spare's, or the only one")
         parser.add_argument("--path", type=Path, metavar="FILE", help="where its wire runs")
         parser.add_argument("--id", type=int, default=1, help="1: as it comes from the factory")
@@ -42,7 +53,7 @@ class Plug:
         except SettingsError as error:
             raise UsageError(str(error)) from error
         plug = m.Plug(muscle=muscle, chain=args.chain, path=path, module_id=args.id)
-        return request(args.robot, plug)
+        return _ask_world(args.robot, plug)
 
 
 class Unplug:
@@ -55,12 +66,12 @@ class Unplug:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
         words = parser.add_argument("words", nargs="+", metavar="[ROBOT] MUSCLE")
-        completed_by(words, named("muscle", "spare"))
+        completed_by(words, robot_or(named("muscle", "spare")))
         add_robot_argument(parser)
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask the world."""
-        return request(args.robot, m.Unplug(muscle=take_robot(args, args.words)))
+        return _ask_world(args.robot, m.Unplug(muscle=take_robot(args, args.words)))
 
 
 _USUAL = {"corrupt": 0.001, "drop": 0.05, "delay": 0.002, "cable": 0.0, "overheat": 60.0}
@@ -103,12 +114,36 @@ class Fault:
         if args.action == "list":
             return with_robot(args.robot, _list_faults)
         if args.action == "mend":
-            return request(args.robot, _mending(args.target))
+            return _ask_world(args.robot, _mending(args.target))
         if len(args.target) > 1:
             raise UsageError(f"one target at a time: myograft fault {args.action} TARGET")
         amount = _USUAL.get(args.action, 1.0) if args.amount is None else args.amount
         target = args.target[0] if args.target else ""  # without one the world says what there is
-        return request(args.robot, m.Fault(kind=args.action, target=target, amount=amount))
+        fault = m.Fault(kind=args.action, target=target, amount=amount)
+        return _ask_world(args.robot, fault)
+
+
+def _ask_world(robot: str, message: Message) -> int:
+    """Ask the simulation; of a robot that is real, say what to do by hand."""
+
+    def ask(client: Client) -> int:
+        if not _is_real(client.hub):
+            return show(client.ask(message), message)
+        print(
+            f"myograft: {client.robot!r} is on real chains, there is no world that could do it: "
+            f"{BY_HAND[type(message)]}. The driver sees it, and `myograft events -f` tells",
+            file=sys.stderr,
+        )
+        return REFUSED
+
+    return with_robot(robot, ask)
+
+
+def _is_real(hub: Hub) -> bool:
+    """As far as this host knows: of a robot that runs on another one it does not."""
+    with contextlib.suppress(SettingsError):
+        return bool(hub.file) and not simulated(load_robot(hub.file, hub.robot))
+    return False
 
 
 def _mending(words: list[str]) -> m.Fault:
@@ -122,6 +157,8 @@ def _mending(words: list[str]) -> m.Fault:
 
 def _list_faults(client: Client) -> int:
     question = m.Fault(action="list")
+    if _is_real(client.hub):
+        return _ask_world(client.robot, question)
     replies = client.ask(question)
     for reply in replies:
         for name, amount in reply.data.items():

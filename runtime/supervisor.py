@@ -49,6 +49,7 @@ from runtime.settings import RobotSettings
 GROUP_STATE_S = 1.0
 PARK_PATIENCE_S = 20.0  # of wall time: where robot time is slow, so is the arm
 TERM_PATIENCE_S = 3.0
+MEND = "mend what its log says, then Ctrl-C and `myograft up` again"  # of one that is given up
 
 
 class Group:
@@ -262,11 +263,14 @@ class Group:
             return
         what = {"backoff": "restarting", "failed": "given up"}.get(child.state, child.state)
         text = f"{child.spec.process} died ({child.last_exit}), {what}: see {child.log_file}"
+        if child.state == "failed":
+            text += f"; {MEND}"
         self._tell_person(f"{self.settings.name}: {text}")
         level = "info" if child.state == "stopped" else "error"
         self._tell_event("process_died", level, child, text)
         if child.state == "failed":
-            self._tell_event("process_failed", "error", child, f"{child.spec.process} is given up")
+            given_up = f"{child.spec.process} is given up: {MEND}"
+            self._tell_event("process_failed", "error", child, given_up)
 
     def _watch_stop(self, state: ExecutiveState) -> None:
         stopped = state.stage == "stopped"

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 from runtime import messages as m
 from runtime.cli.client import (
@@ -15,8 +17,9 @@ from runtime.cli.client import (
     take_robot,
     with_robot,
 )
-from runtime.cli.completion import completed_by, named
-from runtime.cli.main import DONE, REFUSED, USAGE
+from runtime.cli.completion import completed_by, named, robot_or, versions
+from runtime.cli.main import DONE, REFUSED, USAGE, UsageError
+from runtime.hubs import ENDPOINT_VARIABLE, living_hubs
 from runtime.messages import Message
 from runtime.suggestion import suggestion
 
@@ -37,7 +40,7 @@ class Reach:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
         angle = parser.add_argument("angle", nargs="+", metavar="[ROBOT] JOINT=DEG")
-        completed_by(angle, lambda: [f"{joint}=" for joint in named("joint")()])
+        completed_by(angle, robot_or(lambda: [f"{joint}=" for joint in named("joint")()]))
         add_robot_argument(parser)
 
     def run(self, args: argparse.Namespace) -> int:
@@ -71,7 +74,7 @@ class Task:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
         words = parser.add_argument("words", nargs="+", metavar="[ROBOT] TASK")
-        completed_by(words, lambda: named("task")() | {"park", "hold", "cancel"})
+        completed_by(words, robot_or(lambda: named("task")() | {"park", "hold", "cancel"}))
         add_robot_argument(parser)
 
     def run(self, args: argparse.Namespace) -> int:
@@ -93,7 +96,10 @@ class Schema:
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
         parser.add_argument("action", choices=("list", "rollback", "relearn"))
-        parser.add_argument("version", nargs="?", type=int, default=0, help="for rollback")
+        version = parser.add_argument(
+            "version", nargs="?", type=int, default=0, help="for rollback"
+        )
+        completed_by(version, versions)
         parser.add_argument("--method", default="iv", choices=m.METHODS)
         parser.add_argument("--n-new", type=int, default=7, help="motions to collect for relearn")
         add_robot_argument(parser)
@@ -128,39 +134,57 @@ class Estop:
     Examples:
       myograft estop
       myograft estop --reason "a hand in the way"
+      myograft estop left                         one of several robots
+      myograft estop --all                        every robot on this host, at once
     """
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
         parser.add_argument("--reason", default="asked for at the command line")
+        parser.add_argument("--all", action="store_true", help="every robot on this host, at once")
         add_robot_argument(parser, first=True)
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask every driver, then wait until each chain's own readings say that it stands."""
+        robots = [hub.robot for hub in living_hubs()]
+        alone = args.robot or len(robots) < 2 or ENDPOINT_VARIABLE in os.environ
+        if args.all and len(robots) > 1:
+            with ThreadPoolExecutor(len(robots)) as each:  # nobody waits for another's wires
+                return max(each.map(lambda robot: _stop(robot, args.reason, f"{robot}: "), robots))
+        if alone:
+            return _stop(args.robot, args.reason)
+        raise UsageError(
+            f"several robots are running. All of them: myograft estop --all. "
+            f"One: {', or '.join(f'myograft estop {robot}' for robot in robots)}"
+        )
 
-        def stop(client: Client) -> int:
-            client.bus.subscribe(m.ChainState)
-            question = m.Estop(reason=args.reason)
-            replies = client.ask(question)
-            code = show(replies, question)
-            moving = {reply.data["chain"] for reply in replies if reply.ok}
 
-            def standing(message: Message) -> bool:
-                if isinstance(message, m.ChainState) and message.mode == "stopped":
-                    moving.discard(message.chain)
-                return not moving
+def _stop(robot: str, reason: str, whose: str = "") -> int:
+    question = m.Estop(reason=reason)
 
-            if moving:
-                client.gather(standing, STOP_PATIENCE_S)
-            if moving:
-                chains = ", ".join(sorted(moving))
-                print(f"chain {chains} is still paying out; see: myograft status", file=sys.stderr)
-                return REFUSED
-            if code == DONE:
-                print("stopped: all wires are slack, the arm is latched")
-            return code
+    def stop(client: Client) -> int:
+        client.bus.subscribe(m.ChainState)
+        replies = client.ask(question)
+        code = show(replies, question, whose)
+        moving = {reply.data["chain"] for reply in replies if reply.ok}
 
-        return with_robot(args.robot, stop)
+        def standing(message: Message) -> bool:
+            if isinstance(message, m.ChainState) and message.mode == "stopped":
+                moving.discard(message.chain)
+            return not moving
+
+        if moving:
+            client.gather(standing, STOP_PATIENCE_S)
+        if moving:
+            chains = ", ".join(sorted(moving))
+            still = f"{whose}chain {chains} is still paying out; see: myograft status"
+            print(still, file=sys.stderr)
+            return REFUSED
+        if code == DONE:
+            print(f"{whose}stopped: all wires are slack, the arm is latched")
+        return code
+
+    return with_robot(robot, stop)
 
 
 class Identify:
@@ -174,7 +198,8 @@ class Identify:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("words", nargs="+", metavar="[ROBOT] MODULE")
+        words = parser.add_argument("words", nargs="+", metavar="[ROBOT] MODULE")
+        completed_by(words, robot_or(named("muscle", "spare", "joint")))
         add_robot_argument(parser)
 
     def run(self, args: argparse.Namespace) -> int:

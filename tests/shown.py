@@ -6,7 +6,6 @@ A command whose comment says `Ctrl-C` does not end by itself.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import re
 import shlex
 from functools import cache
@@ -17,16 +16,21 @@ from docs.reference import ROOT, parsers
 
 TUTORIAL = ROOT / "docs" / "tutorial.md"
 HOWTOS = sorted((ROOT / "docs" / "howto").glob("*.md"))
+ELSEWHERE = "another host"
 DOCUMENTS = [TUTORIAL, ROOT / "README.md", *HOWTOS, ROOT / "docs" / "README.md"]
 
-# Programs that are not ours: how they are called is theirs to check, the files that they get ours.
-FOREIGN = {".", "cp", "docker", "echo", "pip", "sed", "sudo", "tee", "zenohd"}
-
-# Commands of ours that are too long to be run as they are shown, and the tests that run them.
+# Commands of ours that are not run as they are shown, by their form, and the tests that run them.
 RUN_ELSEWHERE = {
-    "up": "tests/e2e/test_up.py",
-    "demo": "tests/e2e/test_demo.py",
-    "learn": "tests/bench/test_learning.py",
+    "make demo": "tests/e2e/test_demo.py::test_the_demo_shows_what_it_promises",
+    "make docs": "tests/unit/test_docs.py::test_the_reference_is_what_the_code_gives",
+    "myograft up elbow musashi_arm": "tests/e2e/test_up.py::test_a_command_to_one_moves_no_other",
+    "myograft up elbow --name": "tests/integration/test_runtime.py::"
+    "test_up_in_the_foreground_until_ctrl_c",
+    "myograft up elbow --connect": "tests/e2e/test_documents.py::test_a_robot_is_spread_over_hosts",
+    "python -m experiments elbow": "tests/unit/test_comparison.py::"
+    "test_the_command_goes_from_robot_to_tables",
+    "python -m experiments ablate elbow": "tests/unit/test_ablate.py::"
+    "test_the_command_gives_a_row_for_each_part_that_is_asked_for",
 }
 
 
@@ -36,8 +40,9 @@ class Shown(NamedTuple):
     document: Path
     line: int
     words: tuple[str, ...]
+    text: str  # as a shell reads it
     endless: bool
-    robot: str  # the robot that the document has last started
+    robot: str  # whom it is about: the robot that the document has last started or made
 
     @property
     def ours(self) -> str:
@@ -45,15 +50,30 @@ class Shown(NamedTuple):
         return self.words[1] if self.words[0] == "myograft" else ""
 
     @property
-    def on_robot(self) -> bool:
-        """It asks a robot that runs, as it has `--robot`, and is not run elsewhere."""
-        if not self.ours or self.ours in RUN_ELSEWHERE or self.words[1:3] == ("topic", "list"):
-            return False
+    def form(self) -> str:
+        """The command and its options without their values: what `RUN_ELSEWHERE` goes by."""
+        options = [k for k, word in enumerate(self.words) if word.startswith("-")]
+        module = self.words[1] == "-m"
+        first = next((k for k in options if k > module), len(self.words))
+        return " ".join((*self.words[:first], *(self.words[k] for k in options if k >= first)))
+
+    @property
+    def where(self) -> str:
+        """`read`: nowhere; `elsewhere`; `robot`: on one that runs; `alone`: without."""
+        if any(self.text.startswith(begin) for begin in only_read()):
+            return "read"
+        if self.form in RUN_ELSEWHERE:
+            return "elsewhere"
+        if self.ours in ("up", "learn") or not self.ours or self.robot not in ("elbow", ELSEWHERE):
+            return "robot"
+        if self.words[1:3] == ("topic", "list"):
+            return "alone"
         parser = command_parsers()[f"myograft {self.ours}"]
-        return "--robot" in {word for action in parser._actions for word in action.option_strings}
+        asks = "--robot" in {word for action in parser._actions for word in action.option_strings}
+        return "robot" if asks else "alone"
 
     def __str__(self) -> str:
-        return f"{self.document.name}:{self.line}: {' '.join(self.words)}"
+        return f"{self.document.name}:{self.line}: {self.text}"
 
 
 class Block(NamedTuple):
@@ -87,18 +107,24 @@ def shown() -> tuple[Shown, ...]:
         robot = "elbow"
         for block in blocks(document):
             lines = block.text.splitlines() if block.language == "sh" else []
-            for number, text in enumerate(lines, block.line + 1):
-                command, _, comment = text.partition(" #")
-                for part in re.split(r" && | \| | > ", command):
-                    words = [w for w in shlex.split(part) if not re.match(r"[A-Z_]+=", w)]
-                    if not words or words[0].endswith((".toml", ".xml")):  # a file written to
-                        continue
-                    if words[:2] == ["myograft", "up"]:
-                        robot = next(iter(words[2:]), "elbow")
-                    elsewhere = "another host" if "ENDPOINT=" in part else robot
-                    endless = "Ctrl-C" in comment
-                    found.append(Shown(document, number, tuple(words), endless, elsewhere))
+            for number, line in enumerate(lines, block.line + 1):
+                text, _, comment = line.partition(" #")
+                names = re.findall(r"([\w-]+)\.(?:toml|xml)\b", text)
+                if names or text.startswith("myograft up"):
+                    robot = names[-1] if names else "elbow"
+                about = ELSEWHERE if "_ENDPOINT=" in text else robot
+                words = [word for word in shlex.split(text) if not re.match(r"[A-Z_]+=", word)]
+                endless = "Ctrl-C" in comment
+                found.append(Shown(document, number, tuple(words), text.strip(), endless, about))
     return tuple(found)
+
+
+@cache
+def only_read() -> tuple[str, ...]:
+    """How commands begin that no test runs, from the table in the documents' index."""
+    _, _, table = (ROOT / "docs" / "README.md").read_text(encoding="utf-8").partition("| only read")
+    cells = re.findall(r"^\| `([^`]+)` \|", table, re.MULTILINE)
+    return tuple(cell.replace("\\|", "|") for cell in cells)
 
 
 @cache
@@ -112,29 +138,17 @@ def check(command: Shown) -> None:
 
     Raises:
         SystemExit: it does not understand them.
-        AssertionError: there is no such program, target or file.
+        AssertionError: there is no such target or file.
     """
     for length in (4, 3, 2):
         if parser := command_parsers().get(" ".join(command.words[:length])):
             parser.parse_args(command.words[length:])
             break
     else:
-        _check_foreign(command)
+        if command.words[0] == "make":
+            makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+            target = rf"^{command.words[1]}:"
+            assert re.search(target, makefile, re.MULTILINE), f"{command}: no such target"
     for word in command.words:
         if re.match(r"(deploy|docs|tests)/", word) and not word.endswith("_serial.toml"):
             assert (ROOT / word).exists(), f"{command}: there is no {word}"
-
-
-def _check_foreign(command: Shown) -> None:
-    program, *words = command.words
-    if program == "python":
-        spec = importlib.util.find_spec(words[1]) if words[0] == "-m" else None
-        assert spec is not None and spec.origin is not None, f"{command}: no such module"
-        source = Path(spec.origin).read_text(encoding="utf-8")
-        unknown = [word for word in words if word.startswith("--") and f'"{word}"' not in source]
-        assert unknown == [], f"{command}: no such options"
-    elif program == "make":
-        makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-        assert re.search(rf"^{words[0]}:", makefile, re.MULTILINE), f"{command}: no such target"
-    else:
-        assert program in FOREIGN, f"{command}: what is {program}?"

@@ -37,9 +37,9 @@ class Findings:
     pictures: dict[str, Path] = field(default_factory=dict)  # by file name
 
 
-def folders_of(settings: RobotSettings) -> tuple[Path, ...]:
-    """Where to look: in what the robot file names, experiments' own folder, the documents."""
-    named = tuple(settings.beside(folder) for folder in settings.web.results)
+def folders_of(*robots: RobotSettings) -> tuple[Path, ...]:
+    """Where to look: in what robot files name, experiments' own folder, the documents."""
+    named = (settings.beside(folder) for settings in robots for folder in settings.web.results)
     return (*named, state_home() / "experiments", _DOCUMENTS)
 
 

@@ -100,17 +100,18 @@ def request(robot: str, message: Message, timeout_s: float | None = None) -> int
     return with_robot(robot, lambda client: show(client.ask(message, timeout_s), message))
 
 
-def show(replies: list[Reply], message: Message) -> int:
-    """Print replies; 0 when all did what was asked, else 1."""
+def show(replies: list[Reply], message: Message, whose: str = "") -> int:
+    """Print replies, each line behind `whose`; 0 when all did what was asked, else 1."""
     if not replies:
+        word = type(message).__name__.lower()
         print(
-            f"myograft: nobody answered {type(message).__name__.lower()!r}: its process is not "
-            f"running or not ready. See: myograft status",
+            f"myograft: {whose}nobody answered {word!r}: its process is not running or not ready. "
+            f"See: myograft status",
             file=sys.stderr,
         )
         return REFUSED
     for reply in replies:
         speaker = f"{reply.data['process']}: " if len(replies) > 1 else ""
         text = reply.text or ("done" if reply.ok else "refused")
-        print(f"{speaker}{text}", file=sys.stdout if reply.ok else sys.stderr)
+        print(f"{whose}{speaker}{text}", file=sys.stdout if reply.ok else sys.stderr)
     return DONE if all(reply.ok for reply in replies) else REFUSED

@@ -1,20 +1,22 @@
 """`myograft completion`, and the words with which commands complete their arguments.
 
-The words come from the registry of hubs and from robot files alone, so that a key press asks no
-robot anything.
+The words come from the registry of hubs, from robot files and from what runs leave on this host
+alone, so that a key press asks no robot anything.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from runtime.cli.main import DISTRIBUTION, DONE
-from runtime.hubs import living_hubs, state_home
+from runtime.hubs import living_hubs, robot_home, state_home
 from runtime.settings import ROBOTS
 
+LOGS = "logs/*.log"
 SHELLS = ("bash", "zsh", "fish")
 
 
@@ -60,6 +62,31 @@ def named(*tables: str) -> Callable[[], set[str]]:
         return {name for file in files or ROBOTS.glob("*.toml") for name in _names(file, tables)}
 
     return words
+
+
+def robot_or(words: Callable[[], Iterable[str]]) -> Callable[[], set[str]]:
+    """For arguments `[ROBOT] WORD`: the words, and where several robots run those, too."""
+
+    def both() -> set[str]:
+        running = {hub.robot for hub in living_hubs()}
+        return {*words(), *(running if len(running) > 1 else ())}
+
+    return both
+
+
+def versions() -> set[str]:
+    """Numbers of the body schemas that robots that run here have stored."""
+    homes = [robot_home(hub.robot) / "state" / "retrainer" for hub in living_hubs()]
+    return {str(int(file.name[1:])) for home in homes for file in home.glob("v[0-9]*")}
+
+
+def logged() -> set[str]:
+    """Processes that have a log in the run that `myograft logs` would show."""
+    from runtime.runs import RunError, find_run  # reads recordings: too much for every command
+
+    with contextlib.suppress(RunError):
+        return {log.stem for log in find_run("", LOGS).glob(LOGS)}
+    return set()
 
 
 def _names(file: Path, tables: tuple[str, ...]) -> Iterable[str]:

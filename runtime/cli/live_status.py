@@ -11,18 +11,17 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from runtime import messages as m
 from runtime.cli.client import Client
 from runtime.cli.main import DONE, NOT_RUNNING
 from runtime.cli.status import Picture
 
 PERIOD_S = 0.25
 SILENT_S = 2.5  # the supervisor and every process speak once a second
-STALE_NS = 500_000_000  # an estimate that is older is none
 BAR = 12  # characters
 WIDE = 150  # characters: then processes stand beside modules
 WARM, HOT = 0.6, 0.85  # of a limit
 _LEVELS = {"info": "", "warning": "yellow", "error": "bold red"}
+_MODES = {"silent": "bold red", "stopping": "bold red", "stopped": "bold red"}
 _STATES = {"ready": "green", "up": "green", "starting": "yellow", "joining": "yellow"}
 
 
@@ -76,6 +75,8 @@ def _headline(picture: Picture, silent_s: float) -> ConsoleRenderable:
             line.append(f" {executive.step}/{executive.steps}")
         if words := picture.growing.words:
             line.append(f" {words}", "cyan")
+        if executive.text:
+            line.append(f": {executive.text}")
     if picture.schema:
         line.append(f"   schema {picture.schema.version} ({picture.schema.method})")
     training = picture.training
@@ -91,19 +92,20 @@ def _headline(picture: Picture, silent_s: float) -> ConsoleRenderable:
 
 
 def _modules(picture: Picture) -> Table:
-    table = _table("chain", "id>", "module", "N>", "of limit", "", "°C>", "errors>", "state")
-    chain = ""
-    infos = [module for body in picture.bodies.values() for module in body.modules]
-    for row, info in zip(picture.modules(), infos, strict=True):
+    columns = ("chain", "does", "id>", "module", "N>", "of limit", "", "°C>", "errors>", "state")
+    table = _table(*columns)
+    modes = {row["chain"]: str(row["mode"]) for row in picture.chains()}
+    for row in picture.modules():
         limit = row["limit_N"]
         tension = row["N"]
         load, most = Text(), ""
         if isinstance(tension, float) and isinstance(limit, float) and limit > 0:
             load, most = _bar(tension / limit), f"{limit:.0f}"
-        standing = picture.growing.standing(info)
-        state = str(row["state"])
+        standing, state = str(row["standing"]), str(row["state"])
+        mode = modes.pop(row["chain"], None)  # said beside the first of its modules
         table.add_row(
-            "" if row["chain"] == chain else str(row["chain"]),
+            "" if mode is None else str(row["chain"]),
+            Text(mode or "", _MODES.get(mode or "", "")),
             str(row["id"]),
             Text(str(row["module"]), "bold" if row["kind"] == "muscle" else ""),
             _number(tension),
@@ -113,34 +115,23 @@ def _modules(picture: Picture) -> Table:
             str(row["link_errors"] or ""),
             Text(standing or state, "yellow" if standing else _STATES.get(state, "bold red")),
         )
-        chain = str(row["chain"])
     return table
 
 
 def _joints(picture: Picture) -> Table:
     table = _table("joint", "wanted>", "measured>", "estimated>", "±>", "off>")
-    executive, estimate = picture.executive, _newest_estimate(picture)
-    wanted = dict(zip(executive.joints, executive.reference_rad, strict=False)) if executive else {}
-    felt = dict(zip(estimate.joints, estimate.angle_rad, strict=False)) if estimate else {}
-    wide = dict(zip(estimate.joints, estimate.confidence_rad, strict=False)) if estimate else {}
-    for joint in {**wanted, **picture.angle_rad}:
-        measured = picture.angle_rad.get(joint, math.nan)
-        off = measured - wanted.get(joint, math.nan)
+    for row in picture.joints():
+        wanted, measured = row["wanted_rad"], row["measured_rad"]
+        known = isinstance(wanted, float) and isinstance(measured, float)
         table.add_row(
-            Text(joint, "bold"),
-            *(_degrees(x.get(joint, math.nan)) for x in (wanted, picture.angle_rad, felt, wide)),
-            _degrees(off),
+            Text(str(row["joint"]), "bold"),
+            _degrees(wanted),
+            _degrees(measured),
+            _degrees(row["estimated_rad"]),
+            _degrees(row["confidence_rad"]),
+            _degrees(measured - wanted if known else None),  # type: ignore[operator]
         )
     return table
-
-
-def _newest_estimate(picture: Picture) -> m.JointEstimate | None:
-    """The estimate, unless what was felt since is too much newer."""
-    estimate = picture.estimate
-    felt_ns = max((state.stamp_ns for state in picture.states.values()), default=0)
-    if estimate is None or felt_ns - estimate.stamp_ns > STALE_NS:
-        return None
-    return estimate
 
 
 def _processes(picture: Picture) -> Table:
@@ -202,5 +193,6 @@ def _number(value: object, digits: int = 1) -> str:
     return f"{value:.{digits}f}" if isinstance(value, int | float) else "-"
 
 
-def _degrees(angle_rad: float) -> str:
-    return "-" if math.isnan(angle_rad) else f"{math.degrees(angle_rad):.1f}°"
+def _degrees(angle_rad: object) -> str:
+    known = isinstance(angle_rad, float) and not math.isnan(angle_rad)
+    return f"{math.degrees(angle_rad):.1f}°" if known else "-"  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from runtime.cli.completion import completed_by, robots
+from runtime.cli.completion import LOGS, completed_by, logged, robots
 from runtime.cli.main import DONE, REFUSED, UsageError
 from runtime.runs import RunError, find_run
 from runtime.suggestion import suggestion
@@ -44,7 +44,8 @@ class Logs:
 
     def configure(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments."""
-        parser.add_argument("process", nargs="*", help="only these processes")
+        process = parser.add_argument("process", nargs="*", help="only these processes")
+        completed_by(process, logged)
         parser.add_argument("-f", "--follow", action="store_true", help="and what comes")
         parser.add_argument("-n", "--lines", type=int, default=0, help="only the last so many")
         run = parser.add_argument("--run", "--robot", default="", help="robot, or a run's folder")
@@ -53,7 +54,7 @@ class Logs:
     def run(self, args: argparse.Namespace) -> int:
         """Print, and follow."""
         try:
-            run = find_run(args.run, "logs/*.log")
+            run = find_run(args.run, LOGS)
             logs = _open(run, args.process)
             lines = heapq.merge(*(list(log) for log in logs.values()), key=lambda line: line.time)
             for line in deque(lines, args.lines) if args.lines > 0 else lines:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections import deque
 from importlib.util import find_spec
 
@@ -17,6 +18,10 @@ from runtime.growing import Growing
 LISTEN_S = 0.5  # at most: a simulated robot that is whole has told everything long before
 WATCH_S = 1.0
 RECENT = 6  # events kept
+SILENT_S = 1.0  # of wall time without readings: a chain is silent
+STALE_NS = 500_000_000  # an estimate that is older is none
+
+Row = dict[str, object]
 
 
 class Status:
@@ -92,6 +97,7 @@ class Picture:
         self.health: dict[str, m.Health] = {}
         self.bodies: dict[str, m.ChainBody] = {}
         self.states: dict[str, m.ChainState] = {}
+        self._felt_s: dict[str, float] = {}  # chain -> wall time of its last readings
 
     def take(self, message: m.Message) -> bool:
         """Take in a message; True once everything is known that a living robot tells."""
@@ -111,6 +117,7 @@ class Picture:
                 self.bodies[message.chain] = message
             case m.ChainState():
                 self.states[message.chain] = message
+                self._felt_s[message.chain] = time.monotonic()
             case m.JointState():
                 self.angle_rad |= zip(message.joints, message.angle_rad, strict=False)
             case m.JointEstimate():
@@ -142,11 +149,14 @@ class Picture:
             "speed": self.clock.speed if self.clock else None,
             "real_time_factor": self.clock.real_time_factor if self.clock else None,
             "processes": self.processes(),
+            "chains": self.chains(),
             "modules": self.modules(),
+            "joints": self.joints(),
             "stage": self.executive.stage if self.executive else "",
             "task": self.executive.task if self.executive else "",
             "step": self.executive.step if self.executive else 0,
             "steps": self.executive.steps if self.executive else 0,
+            "text": self.executive.text if self.executive else "",
             "schema_version": self.schema.version if self.schema else None,
             "schema_method": self.schema.method if self.schema else "",
         }
@@ -154,9 +164,13 @@ class Picture:
     def as_text(self) -> str:
         """For a person."""
         lines = [self._headline()]
+        if self.executive and self.executive.text:
+            lines.append(self.executive.text)
         lines += ["", *_table("process state restarts pid tick_hz cpu_% MB", self.processes())]
+        lines += [f"\nchain {row['chain']}: {row['mode']}" for row in self.chains()]
         if modules := self.modules():
-            lines += ["", *_table("module kind chain id serial N degC state", modules)]
+            told = [{**row, "state": row["standing"] or row["state"]} for row in modules]
+            lines += ["", *_table("module kind chain id serial N degC link_errors state", told)]
         return "\n".join(lines)
 
     def _headline(self) -> str:
@@ -174,7 +188,7 @@ class Picture:
             )
         return "  |  ".join(parts)
 
-    def processes(self) -> list[dict[str, object]]:
+    def processes(self) -> list[Row]:
         """One row a process."""
         rows = []
         for row in self.group.processes if self.group else ():
@@ -194,7 +208,39 @@ class Picture:
             )
         return rows
 
-    def modules(self) -> list[dict[str, object]]:
+    def chains(self) -> list[Row]:
+        """One row a chain, and what its driver does with it; `silent` if nothing is felt there."""
+        now_s = time.monotonic()
+        rows: list[Row] = []
+        for chain in {**self.bodies, **self.states}:
+            heard = now_s - self._felt_s.get(chain, -SILENT_S) < SILENT_S
+            rows.append({"chain": chain, "mode": self.states[chain].mode if heard else "silent"})
+        return rows
+
+    def joints(self) -> list[Row]:
+        """One row a joint [rad]: where it shall be, was measured and is felt to be, or None."""
+        executive, estimate = self.executive, self._estimate_that_counts()
+        wanted = _by_joint(executive, "reference_rad")
+        felt, wide = (_by_joint(estimate, name) for name in ("angle_rad", "confidence_rad"))
+        return [
+            {
+                "joint": joint,
+                "wanted_rad": wanted.get(joint),
+                "measured_rad": self.angle_rad.get(joint),
+                "estimated_rad": felt.get(joint),
+                "confidence_rad": wide.get(joint),
+            }
+            for joint in {**wanted, **self.angle_rad}
+        ]
+
+    def _estimate_that_counts(self) -> m.JointEstimate | None:
+        """The estimate, unless what was felt since is too much newer."""
+        felt_ns = max((state.stamp_ns for state in self.states.values()), default=0)
+        if self.estimate is None or felt_ns - self.estimate.stamp_ns > STALE_NS:
+            return None
+        return self.estimate
+
+    def modules(self) -> list[Row]:
         """One row a module, in the order of the chains."""
         return [
             {
@@ -208,6 +254,7 @@ class Picture:
                 "limit_N": module.tension_limit_n,
                 "link_errors": module.link_errors,
                 "state": f"{module.state} {module.fault}".strip(),
+                "standing": self.growing.standing(module),
             }
             for body in self.bodies.values()
             for module in body.modules
@@ -221,7 +268,11 @@ class Picture:
         return round(value, 1)
 
 
-def _table(columns: str, rows: list[dict[str, object]]) -> list[str]:
+def _by_joint(told: m.ExecutiveState | m.JointEstimate | None, name: str) -> dict[str, float]:
+    return dict(zip(told.joints, getattr(told, name), strict=False)) if told else {}
+
+
+def _table(columns: str, rows: list[Row]) -> list[str]:
     names = columns.split()
     cells = [names]
     for row in rows:

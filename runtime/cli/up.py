@@ -17,9 +17,10 @@ from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, USAGE
 from runtime.hubs import Hub, HubError, find_hub, living_hubs, set_state_aside
 from runtime.manifest import can_serve_page, can_view
 from runtime.settings import SettingsError, load_robot
-from runtime.supervisor import Group
+from runtime.supervisor import MEND, Group
 
 PATIENCE_S = 30.0  # after which a person is told who is not ready yet
+AWAITED, OVER = ("starting", "backoff"), ("failed", "stopped")  # states of a process not ready
 
 
 class Up:
@@ -147,7 +148,10 @@ def _attend(groups: list[Group]) -> int:
 
 
 def _tell_when_ready(groups: list[Group], told: threading.Event) -> None:
-    """Of each robot once it is so, however long that takes; of those that take long, for whom."""
+    """Of each robot once it is so, however long that takes; of those that take long, for whom.
+
+    One of which a process is given up will never be: that is told as soon as no other is awaited.
+    """
     started_s = time.monotonic()
     patience_s = PATIENCE_S
     late = list(groups)
@@ -157,12 +161,18 @@ def _tell_when_ready(groups: list[Group], told: threading.Event) -> None:
                 took_s = time.monotonic() - started_s
                 _say(f"{group.settings.name}: ready after {took_s:.1f} s; Ctrl-C parks and stops")
                 late.remove(group)
+            elif (given_up := _in_state(group, *OVER)) and not _in_state(group, *AWAITED):
+                _say(f"{group.settings.name}: runs without {given_up}: {MEND}")
+                late.remove(group)
         if late and time.monotonic() - started_s > patience_s:
             patience_s = math.inf
             for group in late:
-                waiting = [row.process for row in group.rows if row.state != "ready"]
-                what = ", ".join(waiting) or "the world to tell the time"
+                what = _in_state(group, *AWAITED) or "the world to tell the time"
                 _say(f"{group.settings.name}: still waiting for {what}")
+
+
+def _in_state(group: Group, *states: str) -> str:
+    return ", ".join(row.process for row in group.rows if row.state in states)
 
 
 class Down:

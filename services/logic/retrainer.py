@@ -298,8 +298,10 @@ class _Run:
 def _words(row: VersionRow) -> str:
     use = "active, " if row.active else ""
     words = f"{use}{row.state}, method {row.method}, {', '.join(row.muscles)}"
-    if row.residual_mm:
-        words += f", off by {max(row.residual_mm.values()):.2f} mm at most"
+    if off_mm := row.residual_mm.values():
+        words += f", off by {sum(off_mm) / len(off_mm):.2f} mm, {max(off_mm):.2f} mm at most"
+    if row.train_s:
+        words += f", trained in {row.train_s:.1f} s"
     return f"{words} ({row.reason})" if row.state == REFUSED else words
 
 

@@ -45,6 +45,7 @@ def test_the_demo_shows_what_it_promises(tmp_path: Path) -> None:
     assert float(greatest[1]) < limit_n, "at any instant, growing included"
     assert figures["relearn_s"] > 0.0
     assert figures["plug_to_resumed_s"] > 0.0
+    assert "\n".join(figures["report"]) in demo.stdout
     assert figures["n_new"] == load_robot("elbow").growth.n_new
 
     recording = Path(figures["recording"])

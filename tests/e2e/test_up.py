@@ -14,6 +14,7 @@ import pytest
 
 from runtime import messages as m
 from runtime.bus import Bus
+from runtime.cli.main import DONE, USAGE, main
 from runtime.hubs import find_hub, living_hubs
 from runtime.messages import Message, Reply
 from tests.e2e.conftest import PATIENCE_S, Command, Watch, elbow
@@ -145,6 +146,21 @@ def test_both_sweep_at_once(fleet: Fleet) -> None:
             since=since[name],
             what=f"the second step of {name}'s sweep",
         )
+
+
+def test_one_word_stops_both(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["estop"]) == USAGE
+    told = capsys.readouterr().err
+    for command in ("estop --all", "estop castor", "estop pollux"):
+        assert f"myograft {command}" in told
+    assert all(watch.last(m.ChainState).mode == "follow" for watch in fleet.watches.values())
+    assert main(["estop", "--all"]) == DONE
+    told = capsys.readouterr().out
+    for name, watch in fleet.watches.items():
+        assert f"{name}: stopped: all wires are slack" in told
+        watch.wait_for(m.ExecutiveState, lambda x: x.stage == "stopped", since=0)
+        assert all(reply.ok for reply in fleet.ask(name, m.Reset()))
+        hold(watch)
 
 
 def test_ctrl_c_parks_both_and_exits_0(fleet: Fleet) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from experiments import __main__ as command
 from experiments import ablate
-from experiments.ablate import ABLATIONS, length_errors_mm, one_unit, taut_percent
+from experiments.ablate import ABLATIONS, length_errors_mm, taut_percent
 from experiments.parts import (
     NETWORK,
     PARTS,
@@ -21,7 +24,6 @@ from experiments.parts import (
     Unfelt,
 )
 from experiments.rig import Rig
-from experiments.sweep import Unit
 from experiments.trial import Collected
 from runtime.messages import Motion
 from services.body_schema.fit_wires import USUAL, Beliefs
@@ -126,17 +128,24 @@ def test_measures_are_told_against_the_whole_and_say_nothing_of_the_paper() -> N
 
 @pytest.mark.slow
 @pytest.mark.timeout(120)
-def test_one_unit_gives_a_row_for_each_part_that_is_asked_for(
-    monkeypatch: pytest.MonkeyPatch,
+def test_the_command_gives_a_row_for_each_part_that_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """`python -m experiments ablate elbow`, of one robot that stands still and one motion."""
+
     def still(rig: Rig) -> dict[str, float]:
         return {"muscles": float(len(rig.robot.truth().muscles))}
 
     tiny = replace(ABLATIONS["elbow"].comparison, score=still)
     monkeypatch.setitem(ablate.ABLATIONS, "elbow", replace(ABLATIONS["elbow"], comparison=tiny))
-    unit = Unit("ablate-elbow", "clean", 3, 1)
-    whole, drawn = one_unit(unit, "elbow", (WHOLE, "sites as drawn"), quick=True)
-    assert [(row["method"], row["control"]) for row in (whole, drawn)] == [
+    kept = tmp_path / "runs.json"
+    words = "ablate elbow --quick --seeds 1 --n-new 1 --jobs 1 --methods"
+    more = ["whole,sites as drawn", "--out", str(tmp_path / "out"), "--json", str(kept)]
+    monkeypatch.setattr("sys.argv", ["experiments", *words.split(), *more])
+    assert command.main() == 0
+    oracle, whole, drawn = json.loads(kept.read_text())["runs"]
+    assert [(row["method"], row["control"]) for row in (oracle, whole, drawn)] == [
+        ("oracle", WIRES),
         (WHOLE, WIRES),
         ("sites as drawn", WIRES),
     ]

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, USAGE, _entries, _load, main
+from runtime.hubs import Claim, Hub
+from runtime.settings import load_robot
 
 
 @pytest.fixture(autouse=True)
@@ -124,10 +126,44 @@ def test_without_a_run_they_say_what_to_give(
         ("myograft reach forearm", {"forearm_rotation="}),
         ("myograft up musashi_a", {"musashi_arm"}),
         ("myograft replay --check ", {"estimator"}),
+        ("myograft identify tric", {"triceps"}),
     ],
 )
 def test_a_line_is_completed(line: str, words: set[str], tmp_path: Path) -> None:
-    answer = tmp_path / "answer"
+    assert completed(line, tmp_path) == words
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("myograft logs ", {"driver-arm", "world"}),
+        ("myograft schema rollback ", {"1", "12"}),
+        ("myograft task ", {"left", "right", "sweep", "park", "hold", "cancel"}),
+        ("myograft identify le", {"left"}),
+    ],
+)
+def test_a_line_is_completed_by_what_runs(line: str, words: set[str], tmp_path: Path) -> None:
+    """Two elbows run, as far as the registry says, and one has learned."""
+    file = load_robot("elbow").file
+    hubs = [Hub(robot=name, pid=1, endpoint="", file=file) for name in ("left", "right")]
+    claims = [Claim(hub) for hub in hubs]
+    run = "runs/20261122T000000.000000Z/logs"
+    state = "state/retrainer"
+    for name in (f"{state}/v0001", f"{state}/v0012", f"{state}/active", f"{run}/world.log"):
+        path = tmp_path / "myograft" / "left" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        path.with_name("driver-arm.log").touch()
+    try:
+        assert completed(line, tmp_path) == words
+    finally:
+        for claim in claims:
+            claim.release()
+
+
+def completed(line: str, folder: Path) -> set[str]:
+    """How a shell is told that the line could go on."""
+    answer = folder / "answer"
     environment = {
         "_ARGCOMPLETE": "1",
         "_ARGCOMPLETE_IFS": "\n",
@@ -138,7 +174,7 @@ def test_a_line_is_completed(line: str, words: set[str], tmp_path: Path) -> None
     subprocess.run(
         [sys.executable, "-m", "runtime.cli.main"], env={**os.environ, **environment}, check=False
     )
-    assert {word.strip() for word in answer.read_text().split("\n") if word} == words
+    return {word.strip() for word in answer.read_text().split("\n") if word}
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from experiments import __main__ as command
+from experiments import elbow
 from experiments.arm import compare_sharing, sharing
 from experiments.comparison import CONTROLS, SHARINGS, Comparison
 from experiments.elbow import ELBOW
@@ -22,6 +25,7 @@ from runtime.settings import load_robot
 from services.body_schema import train
 from services.body_schema.wires import WireModel
 from services.logic.skeleton import Skeleton
+from tests.e2e.conftest import elbow as robot
 
 SETTINGS = load_robot("elbow")
 
@@ -124,6 +128,25 @@ def test_a_robot_that_fails_its_task_is_a_row_that_says_so() -> None:
     for row in found:
         assert row["figures"]["failed"] == 1.0
         assert np.isfinite(row["figures"]["collect_peak_n"])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_the_command_goes_from_robot_to_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`python -m experiments elbow`, of a sweep of two targets, one robot and one motion."""
+    short = replace(ELBOW, robot=robot(tmp_path, "short", steps=2).file)
+    monkeypatch.setattr(elbow, "ELBOW", short)
+    words = "elbow --quick --seeds 1 --n-new 1 --methods (i) --controls converged --jobs 1"
+    out = tmp_path / "out"
+    monkeypatch.setattr("sys.argv", ["experiments", *words.split(), "--out", str(out)])
+    assert command.main() == 0
+    told = capsys.readouterr().out
+    tables = (out / "tables.md").read_text()
+    for row in ("before", "oracle", "(i)", "paper: before"):
+        assert f"\n{row} " in told and f"| {row} |" in tables
+    assert (out / "elbow-converged.png").stat().st_size > 10_000
 
 
 def test_what_decides_about_results_is_in_the_fingerprint() -> None:

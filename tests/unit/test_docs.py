@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import re
-import shutil
 import tomllib
 from pathlib import Path
 
 import pytest
 
+from docs import results
 from docs.reference import BEGIN, END, ROOT, pages
 from docs.source import classes
 from runtime import messages, settings
 from runtime.cli.main import DONE, main
-from runtime.settings import load_robot
 from runtime.wire.registers import BY_NAME, MEANINGS
-from tests.shown import HOWTOS, RUN_ELSEWHERE, blocks, check, shown
+from tests.shown import RUN_ELSEWHERE, check, only_read, shown
 
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 
@@ -63,32 +63,32 @@ def test_commands_that_are_shown_are_understood() -> None:
             pytest.fail(f"{command}: its parser does not understand it")
 
 
-@pytest.mark.parametrize(("name", "test"), RUN_ELSEWHERE.items())
-def test_what_is_not_run_as_it_is_shown_is_run_elsewhere(name: str, test: str) -> None:
-    assert f'"{name}"' in (ROOT / test).read_text(encoding="utf-8")
+@pytest.mark.parametrize("test", sorted(set(RUN_ELSEWHERE.values())))
+def test_what_is_not_run_as_it_is_shown_is_run_elsewhere(
+    test: str, request: pytest.FixtureRequest
+) -> None:
+    """By a test of `make test`, that pytest finds."""
+    file, _, name = test.partition("::")
+    assert file.startswith(("tests/unit/", "tests/integration/", "tests/e2e/"))
+    module = pytest.Module.from_parent(request.session, path=ROOT / file)
+    assert name in {getattr(item, "originalname", item.name) for item in module.collect()}
+
+
+def test_nothing_is_excused_that_is_not_shown() -> None:
+    assert {x.form for x in shown() if x.where == "elsewhere"} == set(RUN_ELSEWHERE)
+    for begin in only_read():
+        assert any(x.text.startswith(begin) for x in shown()), begin
 
 
 def test_commands_that_need_no_robot_do_what_is_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each once, in the order of reading, in a folder where a document's own files lie."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "tests").symlink_to(ROOT / "tests")
-    for document in HOWTOS:
-        for block in blocks(document):
-            if block.language == "xml":
-                (tmp_path / re.findall(r"`([\w.]+)`", block.before)[-1]).write_text(block.text)
-    ran = []
-    for command in {command.words: command for command in shown()}.values():
-        if command.words[0] == "cp":
-            shutil.copy(*command.words[1:])
-        elif command.ours and not command.on_robot and command.ours not in RUN_ELSEWHERE:
-            assert main(list(command.words[1:])) == DONE, str(command)
-            ran.append(command.ours)
-    assert {"doctor", "body", "new"} <= set(ran)
-    assert load_robot(str(tmp_path / "my_arm.toml")).muscles
-    assert load_robot(str(tmp_path / "forearm.toml")).muscles
+    """Each once; those about a robot are run by tests/e2e/test_documents.py."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    alone = {command.words: command for command in shown() if command.where == "alone"}
+    for command in alone.values():
+        assert command.ours and main(list(command.words[1:])) == DONE, str(command)
+    assert ("myograft", "doctor") in alone
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
@@ -99,6 +99,30 @@ def test_commands_that_are_mentioned_exist(document: Path) -> None:
     code = re.findall(r"```.*?```|`[^`\n]+`", text, re.DOTALL)
     mentioned = re.findall(r"(?:^|`)myograft ([a-z]+)", "\n".join(code), re.MULTILINE)
     assert set(mentioned) <= known
+
+
+def test_every_picture_is_made_by_a_command() -> None:
+    """`make pictures`: each is named by the Makefile, or drawn by `docs.results`."""
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    named = set(re.findall(r"docs/pictures/([\w.-]+)", makefile))
+    drawn = {f"{name}{suffix}" for name in results.pictures() for suffix in (".png", ".svg")}
+    kept = {file.name for file in (ROOT / "docs" / "pictures").iterdir()}
+    assert kept <= named | drawn
+    assert named - {f"{name}.json" for name in results.DEMOS} <= kept
+
+
+def test_the_readme_shows_what_demos_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert results.with_demos(page) == page, "run `python -m docs.results`"
+    (tmp_path / "pictures").mkdir()
+    for name in results.DEMOS:
+        told = json.dumps({"report": [f"what {name} said", "in two lines"]})
+        (tmp_path / "pictures" / f"{name}.json").write_text(told)
+    monkeypatch.setattr(results, "HERE", tmp_path)
+    again = results.with_demos(page)
+    for name in results.DEMOS:
+        assert f"<!-- {name} output -->\n```\nwhat {name} said\nin two lines\n```\n<!-- /" in again
+    assert len(again) < len(page)
 
 
 def test_every_dependency_is_explained() -> None:

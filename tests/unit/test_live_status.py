@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import json
+import time
 
 import pytest
 
@@ -11,7 +13,7 @@ from rich.console import Console
 
 from runtime import messages as m
 from runtime.cli.live_status import render
-from runtime.cli.status import Picture
+from runtime.cli.status import SILENT_S, Picture
 
 SECOND = 1_000_000_000
 MUSCLES = ("triceps", "biceps_1", "biceps_3")
@@ -21,12 +23,19 @@ def picture(estimated_ns: int = SECOND) -> Picture:
     """The arm goes on without biceps_1; biceps_3 is up and in no schema."""
     count = len(MUSCLES)
     modules = tuple(
-        m.ModuleInfo(name=name, kind="muscle", module_id=i, serial=i, state="up")
+        m.ModuleInfo(name=name, kind="muscle", module_id=i, serial=i, state="up", link_errors=i)
         for i, name in enumerate(MUSCLES, start=2)
     )
     messages: tuple[m.Message, ...] = (
         m.SchemaVersion(version=3, joints=(), muscles=MUSCLES[:2], method="iv", data=b""),
-        m.ExecutiveState(stage="relearn", growing="biceps_1", schema_version=3),
+        m.ExecutiveState(
+            stage="relearn",
+            growing="biceps_1",
+            schema_version=3,
+            joints=("elbow",),
+            reference_rad=(1.2,),
+            text="waiting for the retrainer",
+        ),
         m.ChainBody(chain="arm", modules=modules),
         m.ChainState(
             stamp_ns=SECOND,
@@ -36,7 +45,7 @@ def picture(estimated_ns: int = SECOND) -> Picture:
             tension_n=(20.0, 0.0, 0.0),
             temperature_degc=(25.0,) * count,
             target_length_m=(0.1,) * count,
-            mode="follow",
+            mode="stopping",
         ),
         m.JointState(stamp_ns=SECOND, source="arm", joints=("elbow",), angle_rad=(1.0,)),
         m.JointEstimate(
@@ -66,8 +75,46 @@ def shown(seen: Picture) -> str:
 def test_who_leaves_and_who_is_outside_is_said() -> None:
     lines = shown(picture()).splitlines()
     assert "relearn going on without biceps_1" in lines[0]
-    states = [line.split("25.0")[1].strip() for line in lines if "25.0" in line]
-    assert states == ["up", "being left out", "not in the schema"]
+    states = [line.split("25.0")[1].split() for line in lines if "25.0" in line]
+    assert [" ".join(words) for words in states] == [
+        "2 up",
+        "3 being left out",
+        "4 not in the schema",
+    ]
+
+
+def test_the_reason_and_what_a_chain_does_is_said() -> None:
+    first, *others = shown(picture()).splitlines()
+    assert first.rstrip().endswith("waiting for the retrainer   schema 3 (iv)")
+    assert ["arm", "stopping", "2", "triceps"] in [line.split()[:4] for line in others]
+
+
+def test_status_says_the_same_once_and_to_programs() -> None:
+    seen = picture()
+    text = seen.as_text().splitlines()
+    assert text[1] == "waiting for the retrainer"
+    assert "chain arm: stopping" in text
+    assert [line.split()[-1] for line in text if line.startswith("biceps_3")] == ["schema"]
+    told = json.loads(json.dumps(seen.as_dict()))
+    assert told["text"] == "waiting for the retrainer"
+    assert told["chains"] == [{"chain": "arm", "mode": "stopping"}]
+    assert [row["standing"] for row in told["modules"]] == [
+        "",
+        "being left out",
+        "not in the schema",
+    ]
+    assert [row["link_errors"] for row in told["modules"]] == [2, 3, 4]
+    angles = {"wanted": 1.2, "measured": 1.0, "estimated": 1.1, "confidence": 0.01}
+    expected = {f"{name}_rad": value for name, value in angles.items()}
+    assert told["joints"] == [{"joint": "elbow", **expected}]
+
+
+def test_a_chain_that_says_nothing_more_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = picture()
+    later_s = time.monotonic() + 2 * SILENT_S
+    monkeypatch.setattr("runtime.cli.status.time.monotonic", lambda: later_s)
+    assert seen.chains() == [{"chain": "arm", "mode": "silent"}]
+    assert "silent" in shown(seen)
 
 
 def test_an_old_estimate_is_left_empty() -> None:

@@ -15,7 +15,7 @@ from runtime.logic import MemoryStore
 from runtime.settings import Control, Growth, Robot, RobotSettings
 from services.body_schema import train
 from services.body_schema.schema import Schema
-from services.logic.retrainer import Retrainer
+from services.logic.retrainer import Retrainer, _words
 from tests.unit import analytic_body as body
 from tests.unit.schemas import untrained
 
@@ -175,7 +175,7 @@ def test_versions_are_listed_with_their_figures(store: MemoryStore) -> None:
     verdict = m.SchemaVerdict(job="job-1", adopted=True, reason="", residual_mm=residual_mm)
     retrainer.receive(verdict, 0)
     listed = retrainer.answer(m.SchemaRequest(action="list"), 0)
-    assert "off by 0.50 mm at most" in listed.data["2"]
+    assert listed.data["2"].endswith(", off by 0.38 mm, 0.50 mm at most")
     rows = msgspec.json.decode(listed.data["rows"], type=list[m.VersionRow])
     assert [(x.version, x.state, x.active) for x in rows] == [
         (1, "shipped", False),
@@ -183,6 +183,8 @@ def test_versions_are_listed_with_their_figures(store: MemoryStore) -> None:
     ]
     assert rows[1].residual_mm == residual_mm
     assert rows[1].parent == 1
+    trained = msgspec.structs.replace(rows[1], train_s=1.25)
+    assert _words(trained).endswith("0.50 mm at most, trained in 1.2 s")
     assert rows[0].muscles == Schema.from_bytes(SHIPPED).muscles
 
 

@@ -8,6 +8,7 @@ import pytest
 from mcap.writer import Writer
 from msgspec.structs import replace
 
+from runtime.cli.main import DONE, REFUSED, USAGE, main
 from runtime.hubs import Claim, Hub, new_run_dir
 from runtime.journal import Journal
 from runtime.messages import Event, ExecutiveState
@@ -55,6 +56,33 @@ def test_the_run_that_goes_on_comes_first(tmp_path: Path) -> None:
         assert find_run("left", "messages*.mcap") == here
     finally:
         claim.release()
+
+
+def test_older_runs_are_removed_and_nothing_else(
+    home: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lefts = [a_run("left") for _ in range(4)]
+    right = a_run("right")
+    (learned := home / "myograft" / "left" / "state" / "retrainer").mkdir(parents=True)
+    (lefts[1] / "elbow.rrd").write_bytes(bytes(2_500_000))
+    claim = Claim(Hub(robot="left", pid=1, endpoint="tcp/x", run_dir=str(lefts[0])))
+    try:
+        assert main(["runs", "left"]) == DONE
+        rows = capsys.readouterr().out.splitlines()
+        assert [row.split()[1] for row in rows[:-1]] == [run.name for run in lefts]
+        assert rows[0].endswith("goes on") and "2.5 MB" in rows[1] and "2.5 MB in " in rows[4]
+        assert all(run.exists() for run in lefts)
+        assert main(["runs", "left", "--keep", "1"]) == DONE
+        assert [run.exists() for run in lefts] == [True, False, False, True]
+        assert main(["runs", "--keep", "0"]) == DONE
+    finally:
+        claim.release()
+    assert [run.exists() for run in (*lefts, right)] == [True, False, False, False, False]
+    assert learned.is_dir()
+    assert not (right.parent / "latest").is_symlink()
+    assert main(["runs", "--keep", "-1"]) == USAGE
+    assert main(["runs", "lefft"]) == REFUSED
+    assert "did you mean 'left'?" in capsys.readouterr().err
 
 
 def test_files_of_one_run_are_read_in_the_order_written() -> None:

@@ -18,7 +18,7 @@ from runtime.cli import up
 from runtime.hubs import ENDPOINT_VARIABLE, Claim, Hub, HubError, find_hub, living_hubs
 from runtime.mailbox import Mailbox
 from runtime.manifest import processes_of
-from runtime.messages import ExecutiveState
+from runtime.messages import ExecutiveState, ProcessRow
 from runtime.parking import Parking
 from runtime.priority import step_back
 from runtime.settings import load_robot
@@ -68,6 +68,31 @@ def test_up_says_ready_however_late_and_once_for_whom_it_waits(
         "right: ready",
         "left: still waiting for the world to tell the time",
         "left: ready",
+    ]
+
+
+def test_up_tells_a_process_that_is_given_up_from_one_that_is_late(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(up, "PATIENCE_S", 0.0)
+    others = iter(["starting", "backoff", "ready"])
+
+    class Broken(Group):
+        state = ""
+
+        def wait_ready(self, timeout_s: float = 30.0) -> bool:
+            self.state = next(others)
+            return False
+
+        @property
+        def rows(self) -> tuple[ProcessRow, ...]:
+            states = {"viz": "failed", "estimator": self.state}
+            return tuple(ProcessRow(process=k, state=v, pid=0) for k, v in states.items())
+
+    up._tell_when_ready([Broken(load_robot("elbow"), processes=())], threading.Event())
+    assert capsys.readouterr().out.splitlines() == [
+        "elbow: still waiting for estimator",
+        "elbow: runs without viz: mend what its log says, then Ctrl-C and `myograft up` again",
     ]
 
 

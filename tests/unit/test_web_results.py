@@ -10,6 +10,7 @@ import pytest
 
 from dashboard.web.results import find, folders_of, missing_folders, read
 from experiments.tables import Measure, markdown_table
+from runtime.cli.main import DONE, REFUSED, main
 from tests.unit.page_server import elbow, served
 
 PIXEL = b"\x89PNG\r\n\x1a\n"
@@ -96,6 +97,34 @@ def test_the_documents_of_this_repository_are_read() -> None:
         assert told["tables"], told
         assert all(len(row) == len(x["head"]) for x in told["tables"] for row in x["rows"])
     assert found["elbow"].pictures
+
+
+def test_the_terminal_shows_the_same(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a folder that a robot's file names."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "none"))
+    shipped = elbow()
+    text = Path(shipped.file).read_text().replace('"../', f'"{Path(shipped.file).parent}/../')
+    file = folder / "robot.toml"
+    file.write_text(f'{text}\n[web]\nresults = ["."]\n')
+
+    def said(*words: str, code: int = DONE) -> str:
+        assert main(["results", *words, "--robot", str(file)]) == code
+        told = capsys.readouterr()
+        return told.err if code else told.out
+
+    assert said().split()[:4] == ["arm-quick", "broken", "elbow-b", "elbow"]
+    lines = said("elbow").splitlines()
+    assert lines[0] == "E_theta [rad] · clean · control paper"
+    assert [line.split() for line in lines[1:3]] == [
+        ["method", "any", "N", "N=5"],
+        ["before", "0.0214", "±", "0.0001"],
+    ]
+    assert lines[-1] == f"picture: {folder / 'elbow-paper.svg'}"
+    assert json.loads(said("elbow", "--json"))["tables"][1]["rows"][0][-1] == "a < b"
+    assert "did you mean 'elbow'" in said("elbwo", code=REFUSED)
+    assert "broken.json cannot be read" in said("broken", code=REFUSED)
 
 
 def test_folders_of_the_robot_file_come_first(folder: Path) -> None:
