@@ -71,6 +71,7 @@ def page(browser: Browser, address: str) -> Iterator[Page]:
     page = browser.new_page(viewport=WIDE)  # type: ignore[arg-type]
     wrong: list[str] = []
     page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.add_init_script(TELL_VIOLATIONS)
     page.goto(address)
     yield page
     assert wrong == []
@@ -105,6 +106,10 @@ LOOK_OUT = """() => {
         observer.observe(document, {subtree: true, childList: true, attributes: true});
     });
 }"""
+
+
+TELL_VIOLATIONS = """addEventListener("securitypolicyviolation", (event) =>
+    (window.violations ??= []).push(`${event.violatedDirective} ${event.blockedURI}`))"""
 
 
 @contextmanager
@@ -188,9 +193,19 @@ def test_a_muscle_is_plugged_in_and_all_pages_see_it_grow(
 def test_the_key_stops_the_arm_and_reset_lets_it_hold(
     page: Page, robot: Robot, shots: Path
 ) -> None:
+    """From inside the viewer, which has the focus and keeps other keys to itself."""
     since = robot.watch.mark()
-    page.locator("h1").click()
+    with page.expect_response(lambda answer: "/rerun.sdk_comms" in answer.url) as stream:
+        page.get_by_role("button", name="Show").click()
+    assert stream.value.status == 200
+    view = page.get_by_title("Live view by Rerun")
+    view.click()
+    page.keyboard.press("F6")
+    expect(page.get_by_role("heading", name="Controls")).to_be_focused()
+    view.click()
     page.keyboard.press("Escape")
+    assert [x for each in page.frames for x in each.evaluate("window.violations ?? []")] == []
+    page.get_by_role("button", name="Hide").click()
     robot.watch.wait_for(m.ChainState, lambda x: x.mode == "stopping", since=since)
     expect(page.locator("#answers .good").last).to_contain_text("pay out until slack")
     robot.watch.wait_for(m.ChainState, lambda x: x.mode == "stopped", since=since)

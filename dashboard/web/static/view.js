@@ -59,6 +59,7 @@ function draw() {
     shown = what;
   }
   byId("view-note").hidden = open;
+  byId("view-keys").hidden = !open;
   say(byId("view-note"), note());
 }
 
@@ -75,9 +76,18 @@ function frame() {
   const stream = `rerun+${location.protocol}//${location.hostname}:${port}/proxy`;
   const theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
   const query = new URLSearchParams({ url: stream, hide_welcome_screen: "", persist: "false", theme });
-  const iframe = el("iframe", { src: `/viewer/?${query}`, title: "Live view by Rerun", allow: "fullscreen" });
-  iframe.addEventListener("load", () => iframe.contentWindow.addEventListener("keydown", onKey, true));
+  // Not reached by Tab, which the viewer would keep to itself.
+  const iframe = el("iframe", { src: `/viewer/?${query}`, title: "Live view by Rerun", allow: "fullscreen", tabindex: "-1" });
+  iframe.addEventListener("load", () => iframe.contentWindow.addEventListener("keydown", onFrameKey, true));
   return iframe;
+}
+
+/** Escape stops the arm from inside the viewer, too; F6 is the way out of it. */
+function onFrameKey(event) {
+  onKey(event);
+  if (event.key !== "F6") return;
+  event.preventDefault();
+  byId("controls-title").focus();
 }
 
 let graphics = null;
