@@ -283,13 +283,19 @@ def test_the_server_is_restarted_under_an_open_page(page: Page, robot: Robot, sh
     expect(page.locator("#answers .good").last).to_contain_text("holding")
 
 
-def test_results_are_shown(browser: Browser, address: str, shots: Path) -> None:
+def test_results_are_shown_and_the_stop_is_there_too(
+    browser: Browser, robot: Robot, address: str, shots: Path
+) -> None:
     page = browser.new_page(viewport=WIDE)  # type: ignore[arg-type]
     page.goto(f"{address}/results#lift")
     expect(page.locator("#tables table").first).to_contain_text("before")
     expect(page.locator("#pictures img").first).to_be_visible()
     page.screenshot(path=shots / "results.png")
     accessible(page)
+    since = robot.watch.mark()
+    page.keyboard.press("Escape")
+    robot.watch.wait_for(m.ChainState, lambda x: x.mode == "stopping", since=since)
+    expect(page.locator("#answers .good")).to_contain_text("pay out until slack")
     page.close()
 
 

@@ -16,8 +16,6 @@ let spares = [];
 const touched = new Set();
 
 export function setUp() {
-  byId("estop").addEventListener("click", stop);
-  document.addEventListener("keydown", onKey, true);
   byId("reset").addEventListener("click", () => ask("reset", {}, "Reset"));
   byId("reach").addEventListener("submit", reach);
   byId("as-it-is").addEventListener("click", () => touched.clear());
@@ -31,17 +29,6 @@ export function setUp() {
     const n_new = Number(byId("n-new").value);
     ask("relearn", { method: byId("method").value, n_new }, "Relearn");
   });
-}
-
-/** Escape stops the arm, wherever the focus is. */
-export function onKey(event) {
-  if (event.key !== "Escape" || event.repeat) return;
-  event.preventDefault();
-  stop();
-}
-
-export function stop() {
-  ask("estop", { reason: "asked for on the web page" }, "Stop");
 }
 
 export function showRobot(robot) {

@@ -1,8 +1,8 @@
 // Rerun's own viewer beside the controls. It does not find its stream again after viz or the
 // page's server was restarted, so its frame is made anew then.
 
-import { onKey } from "./controls.js";
 import { byId, el, say } from "./dom.js";
+import { onKey } from "./stop.js";
 
 const KEPT = "myograft.view";
 const WIDE_PX = 960;
