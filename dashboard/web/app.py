@@ -19,6 +19,7 @@ from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import (
     FileResponse,
+    HTMLResponse,
     JSONResponse,
     RedirectResponse,
     Response,
@@ -62,7 +63,8 @@ def make_app(
     urgent = ThreadPoolExecutor(2, "estop")  # a stop never waits for other requests' answers
 
     def page(name: str) -> Callable[[Request], Response]:
-        return lambda _: FileResponse(STATIC / name, headers={"Cache-Control": "no-cache"})
+        text = (STATIC / name).read_text().replace("{robot}", rules.robot)
+        return lambda _: HTMLResponse(text, headers={"Cache-Control": "no-cache"})
 
     async def state(_: Request) -> Response:
         body = {name: msgspec.Raw(data) for name, data in feed.newest.items()}

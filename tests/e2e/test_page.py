@@ -239,7 +239,7 @@ def test_a_stop_that_does_not_get_through_is_said(page: Page) -> None:
     page.route("**/api/request/estop", lambda route: route.abort())
     page.get_by_role("button", name="STOP").click()
     expect(page.locator("#answers .bad").last).to_contain_text("NO ANSWER")
-    expect(page.locator("#answers .bad").last).to_contain_text("myograft estop")
+    expect(page.locator("#answers .bad").last).to_contain_text("myograft estop seat")
     page.unroute("**/api/request/estop")
 
 
@@ -303,4 +303,5 @@ def test_the_robot_ends_and_the_page_says_so(page: Page, robot: Robot) -> None:
     """Last: the group is stopped as Ctrl-C does, and the server goes with it."""
     robot.group.stop(park=False)
     expect(page.locator("#alarm")).to_contain_text("The page's server does not answer")
+    expect(page.locator("#alarm")).to_contain_text("myograft estop seat")
     expect(page.locator("#stage")).to_have_text("no connection")

@@ -65,6 +65,12 @@ def test_pages_hold_nothing_from_elsewhere(page: Page, path: str) -> None:
         assert page.get(file.decode()).status == 200
 
 
+@pytest.mark.parametrize("path", ["/", "/results"])
+def test_pages_know_their_robot_before_anybody_speaks(page: Page, path: str) -> None:
+    """It is named in the command that stops it when the page cannot."""
+    assert b'<body data-robot="elbow">' in page.get(path).body
+
+
 def test_what_is_not_there_is_a_sentence(page: Page) -> None:
     for path in ("/nowhere", "/static/../app.py", "/static/none.js"):
         answer = page.get(path)

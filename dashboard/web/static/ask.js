@@ -2,6 +2,7 @@
 
 import { byId, el } from "./dom.js";
 
+export const BY_COMMAND = `myograft estop ${document.body.dataset.robot}`; // when this page cannot
 const SHOWN_MS = { good: 7000, bad: 20000 };
 const MOST = 4;
 
@@ -22,7 +23,7 @@ async function put(name, message) {
       signal: AbortSignal.timeout(15000),
     });
   } catch {
-    const advice = name === "estop" ? " Stop the robot by hand, or by: myograft estop" : "";
+    const advice = name === "estop" ? ` Stop the robot by hand, or by: ${BY_COMMAND}` : "";
     return { ok: false, text: `NO ANSWER from the page's server: perhaps it was done, perhaps not.${advice}` };
   }
   try {

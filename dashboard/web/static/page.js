@@ -1,6 +1,6 @@
 // The robot's page: sections of the server's stream into the document.
 
-import { ask } from "./ask.js";
+import { ask, BY_COMMAND } from "./ask.js";
 import { showBlinking, showChains, showReadings } from "./chains.js";
 import * as controls from "./controls.js";
 import { byId, el, keyed, say, twice } from "./dom.js";
@@ -16,8 +16,6 @@ let modes = {};
 
 const take = {
   robot(robot) {
-    say(byId("robot"), robot.name);
-    document.title = `${robot.name} - myograft`;
     controls.showRobot(robot);
     view.showViewer(robot.viewer);
   },
@@ -125,7 +123,7 @@ function showVersions({ rows }) {
 function alarm() {
   const named = (mode) => Object.keys(modes).filter((name) => modes[name] === mode).join(", ");
   const all = [
-    serverLost && ["bad", "The page's server does not answer. What stands here is old; trying again. To stop the robot: myograft estop"],
+    serverLost && ["bad", `The page's server does not answer. What stands here is old; trying again. To stop the robot: ${BY_COMMAND}`],
     !serverLost && !supervised && ["bad", "The robot is not running any more, or its supervisor has fallen silent. What stands here is old."],
     named("stopping") && ["bad", `Stopping: the wires of chain ${named("stopping")} pay out.`],
     named("stopped") && ["bad", `Stopped and latched: all wires of chain ${named("stopped")} are slack. Reset lets the arm hold where it is.`],
