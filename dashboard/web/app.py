@@ -64,7 +64,7 @@ def make_app(
 
     def page(name: str) -> Callable[[Request], Response]:
         text = (STATIC / name).read_text().replace("{robot}", rules.robot)
-        return lambda _: HTMLResponse(text, headers={"Cache-Control": "no-cache"})
+        return lambda _: HTMLResponse(text)
 
     async def state(_: Request) -> Response:
         body = {name: msgspec.Raw(data) for name, data in feed.newest.items()}

@@ -24,6 +24,7 @@ OPEN = ("/login", "/static/style.css", "/static/icon.svg")  # what the page that
 COOKIE_AGE_S = 30 * 24 * 3600
 
 _HEADERS = {
+    "Cache-Control": "no-cache",  # a page and its scripts are of one release
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "SAMEORIGIN",
     "Referrer-Policy": "no-referrer",
@@ -47,8 +48,9 @@ class Rules:
     Attributes:
         robot: names the cookie, for cookies do not tell ports apart.
         token: that is asked for; "" asks for none.
-        names: host names by which we are known, beside this host's own and IP addresses.
-        anywhere: asked from other hosts too; else by a loopback name only.
+        names: host names by which we are known besides.
+        anywhere: asked from other hosts too, by this host's own names and addresses; else by a
+            loopback name only.
     """
 
     robot: str
@@ -63,15 +65,14 @@ class Rules:
 
     def knows(self, host: str) -> bool:
         """Whether a `Host` is a name of ours. An address in digits is: nobody can rebind that."""
-        name = _without_port(host).lower().rstrip(".")
-        if name == "localhost":
+        name = _plain_name(host)
+        if name in ("localhost", *map(_plain_name, self.names)):
             return True
         try:
             address = ipaddress.ip_address(name.strip("[]"))
         except ValueError:
             here = socket.gethostname()
-            own = (here, f"{here}.local", *self.names) if self.anywhere else ()
-            return name in [known.lower() for known in own]
+            return self.anywhere and name in (here.lower(), f"{here}.local".lower())
         return self.anywhere or address.is_loopback
 
     def fits(self, token: str | None) -> bool:
@@ -108,8 +109,9 @@ class Guard:
         headers, rules = request.headers, self._rules
         host = headers.get("host", "")
         if not rules.knows(host):
-            text = f"this page is not served as '{host}'; add that name to [web] names"
-            return said(421, text)
+            name = f"this page is not served as '{_plain_name(host)}'"
+            advice = "if that is a name of its host, add it to [web] names in the robot file"
+            return said(421, f"{name}; {advice}")
         if request.scope["method"] not in SAFE and not _same_origin(headers, request.url):
             text = f"a page of {headers.get('origin')} may not speak to this robot"
             return said(403, text)
@@ -169,7 +171,7 @@ def _bearer(headers: Headers) -> str:
     return token.strip() if kind.lower() == "bearer" else ""
 
 
-def _without_port(host: str) -> str:
-    if host.startswith("["):
-        return host.partition("]")[0] + "]"
-    return host.partition(":")[0]
+def _plain_name(host: str) -> str:
+    """Without port, capitals and the dot of a full name."""
+    name = host.partition("]")[0] + "]" if host.startswith("[") else host.partition(":")[0]
+    return name.lower().rstrip(".")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import socket
 import ssl
@@ -239,8 +240,23 @@ def test_names_of_this_host(page: Page, host: str) -> None:
 def test_a_name_that_somebody_else_has_given_us_is_refused(page: Page, host: str) -> None:
     answer = page.post("/api/request/estop", "{}", Host=host)
     assert answer.status == 421
-    assert f"not served as '{host}'" in answer.json["text"]
+    assert f"not served as '{host.partition(':')[0]}'" in answer.json["text"]
     assert page.asked == []
+
+
+@pytest.mark.parametrize("host", ["robot.lab", "Robot.lab.:8800", "192.168.7.7:80"])
+def test_a_refused_name_is_let_in_as_the_refusal_advises(tmp_path: Path, host: str) -> None:
+    with served(tmp_path) as page:
+        text = page.get("/", Host=host).json["text"]
+    said = re.search(r"'(.+)'; .* add it to \[web\] names", text)
+    assert said
+    with served(tmp_path, names=(said[1],)) as page:
+        assert page.get("/", Host=host).status == 200
+
+
+def test_a_browser_asks_whether_what_it_keeps_is_still_right(page: Page) -> None:
+    for path in ("/", "/results", "/static/page.js", "/static/style.css"):
+        assert page.get(path).headers["Cache-Control"] == "no-cache", path
 
 
 def test_another_pages_request_is_refused(page: Page) -> None:
