@@ -38,6 +38,7 @@ from runtime.topics import REQUESTS
 
 STATIC = Path(__file__).parent / "static"
 LONGEST_BODY = 64 * 1024
+WRONG_TOKEN = '<p role="alert" class="problem">That is not the token of this robot.</p>'
 BY_WORD = {row.key.rsplit("/", 1)[-1]: row.message for row in REQUESTS}
 
 Ask = Callable[[Message], list[Reply]]
@@ -89,10 +90,11 @@ def make_app(
 
     async def login(request: Request) -> Response:
         asked = request.method == "POST"
-        if asked and (response := log_in(request, await _body(request), rules)):
+        if asked and (response := await log_in(request, await _body(request), rules)):
             return response
-        status = 403 if asked else 200
-        return FileResponse(STATIC / "login.html", status)
+        problem = WRONG_TOKEN if asked else ""
+        text = (STATIC / "login.html").read_text().replace("{problem}", problem)
+        return HTMLResponse(text, 403 if asked else 200)
 
     async def viewer(request: Request) -> Response:
         name, release = request.path_params["name"], embedded.release()

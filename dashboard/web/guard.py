@@ -8,6 +8,7 @@ is asked for besides: as `Authorization: Bearer`, once as `?token=`, or typed in
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
 import secrets
 import socket
@@ -22,6 +23,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 SAFE = ("GET", "HEAD")
 OPEN = ("/login", "/static/style.css", "/static/icon.svg")  # what the page that asks for it needs
 COOKIE_AGE_S = 30 * 24 * 3600
+WRONG_S = 0.5  # before a wrong token is refused, so that not many can be tried
 
 _HEADERS = {
     "Cache-Control": "no-cache",  # a page and its scripts are of one release
@@ -103,6 +105,8 @@ class Guard:
             await send(message)
 
         refusal = self._refusal(HTTPConnection(scope))
+        if refusal is not None and refusal.status_code == 401:
+            await asyncio.sleep(WRONG_S)
         await (refusal or self._app)(scope, receive, send_with_headers)
 
     def _refusal(self, request: HTTPConnection) -> Response | None:
@@ -124,14 +128,12 @@ class Guard:
         if rules.fits(_bearer(headers)) or rules.fits(request.cookies.get(rules.cookie)):
             return None
         if "text/html" in headers.get("accept", ""):
-            return RedirectResponse("/login", 303)
+            return RedirectResponse(f"/login?{urlencode({'then': _where(request)})}", 303)
         return said(401, "this page asks for its token: Authorization: Bearer TOKEN")
 
     def _welcome(self, request: HTTPConnection) -> Response:
         """Put the token where the address line does not show it."""
-        query = [pair for pair in parse_qsl(request.url.query) if pair[0] != "token"]
-        where = request.url.path + (f"?{urlencode(query)}" if query else "")
-        return with_cookie(RedirectResponse(where, 303), request.url, self._rules)
+        return with_cookie(RedirectResponse(_where(request), 303), request.url, self._rules)
 
 
 def with_cookie(response: Response, url: URL, rules: Rules) -> Response:
@@ -147,17 +149,25 @@ def with_cookie(response: Response, url: URL, rules: Rules) -> Response:
     return response
 
 
-def log_in(request: Request, body: bytes, rules: Rules) -> Response | None:
-    """Where a token that was typed in leads; None when it is the wrong one."""
+async def log_in(request: Request, body: bytes, rules: Rules) -> Response | None:
+    """To the page that was asked for first, with a token that was typed in; None: a wrong one."""
     form = dict(parse_qsl(body.decode(errors="replace")))
     if not rules.fits(form.get("token", "").strip()):
+        await asyncio.sleep(WRONG_S)
         return None
-    return with_cookie(RedirectResponse("/", 303), request.url, rules)
+    path = "/" + request.query_params.get("then", "").lstrip("/")  # `//name` is another host
+    return with_cookie(RedirectResponse(path, 303), request.url, rules)
 
 
 def said(status: int, text: str) -> Response:
     """A refusal in one sentence, as every answer of this server has it."""
     return JSONResponse({"ok": False, "text": text}, status)
+
+
+def _where(request: HTTPConnection) -> str:
+    """What was asked for, but for the token."""
+    query = [pair for pair in parse_qsl(request.url.query) if pair[0] != "token"]
+    return request.url.path + (f"?{urlencode(query)}" if query else "")
 
 
 def _same_origin(headers: Headers, url: URL) -> bool:

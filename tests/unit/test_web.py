@@ -16,10 +16,11 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from urllib.parse import urlencode
 
 import pytest
 
-from dashboard.web import embedded
+from dashboard.web import embedded, guard
 from dashboard.web import feed as feeds
 from dashboard.web.app import BY_WORD
 from dashboard.web.guard import Rules
@@ -294,6 +295,43 @@ def token_of(page: Page) -> str:
     return page.place.rules.token
 
 
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "WRONG_S", 0.0)
+
+
+def test_not_many_tokens_can_be_tried(guarded: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "WRONG_S", 0.1)
+    form = {"Content_Type": "application/x-www-form-urlencoded"}
+    for path, headers in (("/api/request/reset", {"Authorization": "Bearer x"}), ("/login", form)):
+        began_s = time.monotonic()
+        assert guarded.post(path, "token=x", **headers).status in (401, 403)
+        assert time.monotonic() - began_s >= 0.1, path
+
+
+@pytest.mark.parametrize(
+    ("asked", "then"),
+    [
+        ("/results?a=b", "/results?a=b"),
+        ("//evil.example/", "/evil.example/"),
+        ("/\\evil.example", "/%5Cevil.example"),
+        ("https://evil.example", "/https://evil.example"),
+        ("/\t/evil.example", "/%09/evil.example"),
+    ],
+)
+def test_a_token_that_is_typed_in_leads_to_what_was_asked_for(
+    guarded: Page, asked: str, then: str
+) -> None:
+    login = f"/login?{urlencode({'then': asked})}"
+    form = {"Content_Type": "application/x-www-form-urlencoded"}
+    assert guarded.post(login, f"token={token_of(guarded)}", **form).headers["Location"] == then
+
+
+def test_a_page_that_is_asked_for_is_kept_in_mind(guarded: Page) -> None:
+    asked = guarded.get("/results?a=b&token=x", Accept="text/html").headers["Location"]
+    assert asked == "/login?then=%2Fresults%3Fa%3Db"
+
+
 def test_from_elsewhere_a_token_is_asked_for(guarded: Page) -> None:
     assert len(token_of(guarded)) >= 32
     for path in ("/api/state", "/api/stream", "/static/page.js", "/viewer/"):
@@ -310,11 +348,14 @@ def test_from_elsewhere_a_token_is_asked_for(guarded: Page) -> None:
 
 def test_a_browser_is_led_to_the_page_that_asks_for_it(guarded: Page) -> None:
     answer = guarded.get("/", Accept="text/html")
-    assert (answer.status, answer.headers["Location"]) == (303, "/login")
-    assert guarded.get("/login").status == 200
+    assert (answer.status, answer.headers["Location"]) == (303, "/login?then=%2F")
+    first = guarded.get("/login")
+    assert first.status == 200
+    assert b"alert" not in first.body
     assert guarded.get("/static/style.css").status == 200
     wrong = guarded.post("/login", "token=x", Content_Type="application/x-www-form-urlencoded")
     assert wrong.status == 403
+    assert b'<p role="alert" class="problem">That is not the token of this robot.</p>' in wrong.body
     assert "Set-Cookie" not in wrong.headers
     right = guarded.post(
         "/login", f"token={token_of(guarded)}", Content_Type="application/x-www-form-urlencoded"
