@@ -10,15 +10,22 @@ const HIDDEN_MS = 60000; // after which a page that nobody sees lets go of the v
 let viewer = null; // {there, number} as the server tells it
 let wanted = null; // true | false: a person's word
 let shown = ""; // what the frame is showing
+let elsewhere = false; // another page of this browser has the view: each would keep a connection
+const pages = new BroadcastChannel("myograft.view");
 let away = false; // nobody has seen this page for a while
 
 export function setUp() {
   wanted = { show: true, hide: false }[localStorage.getItem(KEPT)] ?? null;
   byId("view-toggle").addEventListener("click", () => {
     wanted = !isOpen();
+    elsewhere = false;
     localStorage.setItem(KEPT, wanted ? "show" : "hide");
     draw();
   });
+  pages.onmessage = () => {
+    elsewhere = true;
+    draw();
+  };
   let hiding = 0;
   document.addEventListener("visibilitychange", () => {
     clearTimeout(hiding);
@@ -43,7 +50,7 @@ export function again() {
   draw();
 }
 
-const isOpen = () => Boolean(viewer?.there) && !away && (wanted ?? (window.innerWidth >= WIDE_PX && hasGraphics()));
+const isOpen = () => Boolean(viewer?.there) && !away && !elsewhere && (wanted ?? (window.innerWidth >= WIDE_PX && hasGraphics()));
 
 function draw() {
   const open = isOpen();
@@ -55,7 +62,10 @@ function draw() {
   const what = open ? String(viewer.number) : "";
   if (what !== shown) {
     byId("view").querySelector("iframe")?.remove();
-    if (open) byId("view").append(frame());
+    if (open) {
+      byId("view").append(frame());
+      pages.postMessage("opened");
+    }
     shown = what;
   }
   byId("view-note").hidden = open;
@@ -65,6 +75,7 @@ function draw() {
 
 function note() {
   if (!viewer?.there) return "The process viz has not said yet where its picture is.";
+  if (elsewhere) return "Another window of this browser has the view. Show brings it here.";
   if (wanted === false) return "Hidden. Plots, lanes and the moving body are one press away.";
   return hasGraphics()
     ? "Show plots, lanes and the moving body: the viewer is loaded once, 43 MB."
