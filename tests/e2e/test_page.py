@@ -119,7 +119,7 @@ def seen(what: str, *pages: Page) -> Iterator[None]:
 
 def test_the_chain_is_drawn_and_the_controls_are_ready(page: Page, shots: Path) -> None:
     expect(page.locator("#robot")).to_have_text("seat")
-    expect(page.locator("#stage")).to_have_text("hold")
+    expect(page.get_by_role("status", name="What the robot does")).to_have_text("hold")
     expect(page.get_by_role("button", name="Go there")).to_be_enabled()
     names = page.locator("#chains li h4")
     expect(names).to_have_text(["triceps", "biceps_1", "biceps_2", "elbow"])
@@ -129,6 +129,7 @@ def test_the_chain_is_drawn_and_the_controls_are_ready(page: Page, shots: Path) 
     expect(page.locator("#processes tbody tr[data-process='driver-arm']")).to_contain_text("ready")
     expect(page.locator("#schema tbody tr.active")).to_contain_text("shipped")
     page.screenshot(path=shots / "light.png", full_page=True)
+    accessible(page)
 
 
 def test_in_the_dark_and_on_a_phone(browser: Browser, address: str, shots: Path) -> None:
@@ -141,8 +142,10 @@ def test_in_the_dark_and_on_a_phone(browser: Browser, address: str, shots: Path)
         gauge = page.get_by_role("meter", name="tension of triceps")
         expect(gauge).not_to_have_attribute("aria-valuenow", "0")
         page.screenshot(path=shots / f"{name}.png", full_page=True)
-        if name == "dark":
-            accessible(page)
+        page.get_by_role("button", name="Unplug triceps").click()
+        expect(page.get_by_role("button", name="Sure? Unplug triceps")).to_have_text("Sure?")
+        expect(page.locator("#said")).to_have_text("Unplug triceps? Press again to be sure.")
+        accessible(page)
         width = page.evaluate("document.documentElement.scrollWidth")
         assert width <= size["width"], "it has to be scrolled sideways"
         assert page.locator("#estop").is_visible()
@@ -320,3 +323,4 @@ def test_the_robot_ends_and_the_page_says_so(page: Page, robot: Robot) -> None:
     expect(page.locator("#alarm")).to_contain_text("The page's server does not answer")
     expect(page.locator("#alarm")).to_contain_text("myograft estop seat")
     expect(page.locator("#stage")).to_have_text("no connection")
+    accessible(page)

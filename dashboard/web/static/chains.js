@@ -41,7 +41,7 @@ function makeModule(chain, module, limit_degc) {
   if (module.kind === "muscle") {
     const unplug = el("button", { type: "button", class: "small asks unplug" }, "Unplug");
     unplug.setAttribute("aria-label", `Unplug ${name}`);
-    row.append(twice(unplug, "Unplug: sure?", () => ask("unplug", { muscle: module.name }, `Unplug ${name}`)));
+    row.append(twice(unplug, () => ask("unplug", { muscle: module.name }, `Unplug ${name}`)));
   }
   card.append(row);
   return el("li", { "data-muscle": name }, card);

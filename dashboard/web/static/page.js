@@ -104,7 +104,7 @@ function showVersions({ rows }) {
     (row) => {
       const back = el("button", { type: "button", class: "small asks" }, "Roll back");
       back.setAttribute("aria-label", `Roll back to version ${row.version}`);
-      twice(back, "Sure?", () => ask("schema", { action: "rollback", version: row.version }, `Version ${row.version}`));
+      twice(back, () => ask("schema", { action: "rollback", version: row.version }, `Version ${row.version}`));
       return el("tr", {}, el("th", { scope: "row" }, String(row.version)), ...Array.from({ length: 5 }, () => el("td")), el("td", {}, back));
     },
     (line, row) => {
