@@ -77,7 +77,11 @@ class Picture:
         self._slow_due_s = 0.0
 
     def receive(self, message: m.Message, now_s: float) -> None:
-        """Take in one message of `inputs`."""
+        """Take in one message of `inputs`.
+
+        Raises:
+            ValueError: it contradicts itself; nothing of it is kept.
+        """
         self._take_growing(message)
         match message:
             case m.Clock():
@@ -93,6 +97,7 @@ class Picture:
                 self._bodies[message.chain] = message
                 self._changed.add("chains")
             case m.ChainState():
+                _check_even(message)
                 self._states[message.chain] = message
                 self._heard_s[message.chain] = now_s
             case m.JointState():
@@ -293,3 +298,10 @@ class Picture:
             self.viewer_url = event.data.get("url", "")
             self._viewers += 1
             self._changed.add("robot")
+
+
+def _check_even(state: m.ChainState) -> None:
+    lengths = len(state.muscles), len(state.tension_n), len(state.temperature_degc)
+    if len(set(lengths)) > 1:
+        what = "{} muscles, {} tensions and {} temperatures".format(*lengths)
+        raise ValueError(f"chain '{state.chain}' tells of {what}")

@@ -96,6 +96,33 @@ def test_chains_have_their_modules_in_order_with_gauges(picture: Picture) -> Non
     }
 
 
+def test_a_message_that_contradicts_itself_is_refused_and_harms_nothing(picture: Picture) -> None:
+    picture.receive(state(), NOW_S)
+    uneven = msgspec.structs.replace(state(), tension_n=(1.0,))
+    with pytest.raises(ValueError, match="'arm' tells of 2 muscles, 1 tensions and 2 temperatures"):
+        picture.receive(uneven, NOW_S)
+    assert sections(picture)["readings"]["chains"]["arm"]["muscles"]["triceps"] == [20.0, 25.0]
+
+
+def test_what_is_no_number_is_told_as_nothing(picture: Picture) -> None:
+    odd = msgspec.structs.replace(
+        state(), tension_n=(math.nan, 1.0), temperature_degc=(25.0, math.inf)
+    )
+    picture.receive(odd, NOW_S)
+    picture.receive(m.Clock(speed=1.0, real_time_factor=math.nan, incarnation=1), NOW_S)
+    health = m.Health(
+        process="viz", pid=7, tick_hz=math.nan, cpu_percent=math.nan, memory_mb=math.inf, dropped=0
+    )
+    picture.receive(health, NOW_S)
+    row = m.ProcessRow(process="viz", state="ready", pid=7)
+    picture.receive(m.GroupState(ready=True, run_dir="/run", processes=(row,)), NOW_S)
+    told = sections(picture)
+    felt = told["readings"]["chains"]["arm"]["muscles"]
+    assert felt == {"triceps": [None, 25.0], "biceps_1": [1.0, None]}
+    (process,) = told["processes"]["rows"]
+    assert (process["tick_hz"], process["cpu_percent"], process["memory_mb"]) == (None, None, None)
+
+
 def test_silence_is_told(picture: Picture) -> None:
     picture.receive(state(), NOW_S)
     picture.receive(m.GroupState(ready=True, run_dir="/run", processes=()), NOW_S)

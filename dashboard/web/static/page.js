@@ -43,7 +43,7 @@ const take = {
     controls.showAngles(now.joints);
     controls.showStopped(Object.values(modes).some((mode) => ["stopping", "stopped"].includes(mode)));
     showBlinking(events, now.time_s ?? 0);
-    say(byId("clock"), now.time_s == null ? "" : `${now.time_s.toFixed(1)} s · ${now.real_time_factor} × real time`);
+    say(byId("clock"), now.time_s == null ? "" : `${now.time_s.toFixed(1)} s · ${now.real_time_factor ?? "–"} × real time`);
     alarm();
   },
   executive: showDoing,
