@@ -165,7 +165,10 @@ class Picture:
                 for joint in settings.joint
             ],
             "tasks": [{"name": t.name, "targets": len(t.targets_deg)} for t in settings.task],
-            "spares": [{"name": spare.name, "chain": spare.chain} for spare in settings.spare],
+            "muscles": [
+                *({"name": row.name, "chain": row.chain} for row in settings.muscle),
+                *({"name": row.name, "chain": row.chain} for row in settings.spare),
+            ],
             "methods": m.METHODS,
             "growth": {"method": settings.growth.method, "n_new": settings.growth.n_new},
             "viewer": {"there": bool(self.viewer_url), "number": self._viewers},
@@ -180,7 +183,6 @@ class Picture:
         silent = now_s - self._heard_s.get("", -math.inf) > GROUP_SILENT_S
         return {
             "supervised": group is not None and not silent,
-            "ready": group is not None and group.ready,
             "run_dir": group.run_dir if group else "",
             "rows": [process_row(row, self._health.get(row.process)) for row in group.processes]
             if group
@@ -212,22 +214,17 @@ class Picture:
         state, progress = self._executive, self._progress
         if state is None:
             return {"stage": "waiting", "text": "the executive has not spoken yet"}
-        shown = ("stage", "task", "step", "steps", "settled", "growing", "schema_version", "text")
+        shown = ("stage", "task", "step", "steps", "settled", "schema_version", "text")
         doing: dict[str, object] = {name: getattr(state, name) for name in shown}
         doing["growth"] = self._growing.words
         if state.stage == "stopped":
             doing["text"] = RESET
         if state.stage == "relearn" and progress is not None:
             doing["training"] = {"epoch": progress.epoch, "epochs": progress.epochs}
-            doing["training_stage"] = progress.stage
         return doing
 
     def _versions(self) -> dict[str, object]:
-        active = self._schema
-        return {
-            "active": active.version if active else None,
-            "rows": [version_row(row) for row in reversed(self._rows)],
-        }
+        return {"rows": [version_row(row) for row in reversed(self._rows)]}
 
     def _story(self) -> dict[str, object]:
         return {

@@ -51,10 +51,11 @@ def test_before_anybody_speaks_there_is_the_robot_file(picture: Picture) -> None
         {"name": "elbow", "rest_deg": 0.0, "low_deg": -5.0, "high_deg": 130.0}
     ]
     assert told["robot"]["tasks"] == [{"name": "sweep", "targets": 16}]
-    assert told["robot"]["spares"] == [{"name": "biceps_3", "chain": "arm"}]
+    assert [x["name"] for x in told["robot"]["muscles"]] == [*elbow().muscles, "biceps_3"]
+    assert {x["chain"] for x in told["robot"]["muscles"]} == {"arm"}
     assert told["robot"]["methods"] == list(m.METHODS)
     assert told["executive"]["stage"] == "waiting"
-    assert told["processes"] == {"supervised": False, "ready": False, "run_dir": "", "rows": []}
+    assert told["processes"] == {"supervised": False, "run_dir": "", "rows": []}
     assert told["readings"]["time_s"] is None
     assert told["events"] == {"events": []}
 
@@ -175,7 +176,7 @@ def test_progress_of_a_task_and_of_relearning(picture: Picture) -> None:
     picture.receive(doing, NOW_S)
     picture.receive(m.TrainingProgress(job="j", stage="training", epoch=3, epochs=60), NOW_S)
     told = sections(picture)["executive"]
-    assert (told["growing"], told["step"], told["steps"]) == ("biceps_3", 7, 7)
+    assert (told["step"], told["steps"]) == (7, 7)
     assert told["training"] == {"epoch": 3, "epochs": 60}
     picture.receive(m.ExecutiveState(stage="adopt"), NOW_S)
     assert "training" not in sections(picture)["executive"]
