@@ -5,12 +5,14 @@ Screenshots are kept in the folder `$ARTIFACTS`, or where pytest keeps its tempo
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from runtime import messages as m
@@ -23,6 +25,11 @@ pytest.importorskip("starlette", reason="needs the extra myograft[web]")
 playwright = pytest.importorskip("playwright.sync_api", reason="needs the extra myograft[dev]")
 from axe_playwright_python.sync_playwright import Axe  # noqa: E402
 from playwright.sync_api import Browser, Page, Request, Route, expect, sync_playwright  # noqa: E402
+
+from dashboard.web.picture import Picture  # noqa: E402
+from tests.unit.page_server import Page as Server  # noqa: E402
+from tests.unit.page_server import elbow as shipped  # noqa: E402
+from tests.unit.page_server import served  # noqa: E402
 
 pytestmark = [
     pytest.mark.e2e,
@@ -179,7 +186,7 @@ def test_a_muscle_is_plugged_in_and_all_pages_see_it_grow(
         expect(each.locator("#detail")).to_contain_text("taking in biceps_3")
         expect(each.locator("#events")).to_contain_text("biceps_3")
     expect(page.get_by_role("button", name="Plug in")).to_be_hidden()
-    expect(page.locator("#plug-note")).to_have_text("Every spare is plugged in.")
+    expect(page.locator("#plug-note")).to_have_text("Every muscle is plugged in.")
     led = f'document.querySelector("{module_of("biceps_1")} .led.on")'
     with seen(led, page, other):
         page.get_by_role("button", name="Identify biceps_1").click()
@@ -192,6 +199,7 @@ def test_the_key_stops_the_arm_from_inside_the_viewer(
     browser: Browser, robot: Robot, address: str
 ) -> None:
     page = browser.new_page()
+    page.set_default_timeout(PATIENCE_MS)
     refused: list[str] = []
     page.on("console", lambda told: "Content Security" in told.text and refused.append(told.text))
     held: list[Route] = []  # before it draws: without a graphics card that takes all the time
@@ -315,6 +323,50 @@ def test_results_are_shown_and_the_stop_is_there_too(
     for each in pages:
         expect(each.locator("#stage")).to_have_text("stopped")
     context.close()
+
+
+def test_what_a_real_robot_and_another_run_look_like(browser: Browser, tmp_path: Path) -> None:
+    """Its server is fed by hand: this robot is simulated, and its run is the first."""
+    modules = [
+        m.ModuleInfo(name=name, kind="muscle", module_id=i, serial=i, state="up", tension_limit_n=9)
+        for i, name in enumerate(("triceps", "biceps_1"), start=2)
+    ]
+    state = m.ChainState(
+        chain="arm",
+        muscles=("triceps", "biceps_1"),
+        length_m=(0.1, 0.1),
+        tension_n=(math.nan, 3.0),
+        temperature_degc=(25.0, 25.0),
+        target_length_m=(0.1, 0.1),
+        mode="hold",
+    )
+
+    def tell(server: Server, picture: Picture, *messages: m.Message) -> None:
+        for message in messages:
+            picture.receive(message, 0.0)
+        for name, section in picture.sections(0.0, {}):
+            server.publish(name, section)
+
+    with served(tmp_path) as server:
+        group = m.GroupState(ready=True, run_dir="first", processes=())
+        body = m.ChainBody(chain="arm", modules=tuple(modules))
+        tell(server, Picture(shipped(), simulated=False), group, body, state)
+        page = browser.new_page()
+        page.goto(server.place.url)
+        gauges = page.locator(module_of("triceps")).locator(".value")
+        expect(gauges).to_have_text(["–", "25.0 of 80 °C"])
+        expect(page.get_by_role("button", name="Identify triceps")).to_be_visible()
+        expect(page.get_by_role("button", name="Unplug triceps")).to_be_hidden()
+        expect(page.get_by_role("button", name="Plug in")).to_be_hidden()
+        expect(page.locator("#plug-note")).to_contain_text("by hand: the robot notices")
+        again = Picture(shipped(), simulated=True)
+        tell(server, again, body)
+        with page.expect_navigation():
+            tell(server, again, msgspec.structs.replace(group, run_dir="second"))
+        expect(page.get_by_label("Spare").locator("option")).to_have_text(
+            ["biceps_2 on arm", "biceps_3 on arm"]
+        )
+        page.close()
 
 
 def test_the_robot_ends_and_the_page_says_so(page: Page, robot: Robot) -> None:

@@ -13,6 +13,7 @@ let supervised = true;
 let serverLost = true;
 let wasLost = false;
 let modes = {};
+let run = ""; // of the robot, where it is recorded
 
 const take = {
   robot(robot) {
@@ -29,6 +30,8 @@ const take = {
       });
   },
   processes(table) {
+    if (run && table.run_dir && table.run_dir !== run) location.reload(); // what stands here is another robot's
+    run ||= table.run_dir;
     supervised = table.supervised;
     showProcesses(table);
     alarm();
