@@ -30,9 +30,9 @@ from starlette.staticfiles import StaticFiles
 
 from dashboard.viewer import ViewerError
 from dashboard.web import embedded, results
-from dashboard.web.embedded import Relay, RelayError
 from dashboard.web.feed import EventStream, Feed
 from dashboard.web.guard import Guard, Rules, log_in, said
+from dashboard.web.relay import CALLS, Relay, RelayError
 from runtime.messages import Estop, Message, Reply
 from runtime.topics import REQUESTS
 
@@ -117,7 +117,7 @@ def make_app(
 
     async def relay(request: Request) -> Response:
         path = request.scope["path"]
-        if not embedded.CALLS.fullmatch(path):
+        if not CALLS.fullmatch(path):
             return said(404, "a viewer may read viz's stream, and nothing else")
         try:
             call = Relay(viewer_url())

@@ -20,7 +20,7 @@ from urllib.parse import urlencode
 
 import pytest
 
-from dashboard.web import embedded, guard
+from dashboard.web import embedded, guard, relay
 from dashboard.web import feed as feeds
 from dashboard.web.app import BY_WORD
 from dashboard.web.guard import Rules
@@ -540,6 +540,15 @@ def test_a_viewers_call_is_handed_on_without_our_token(page: Page) -> None:
 def test_a_viewer_may_only_read(page: Page) -> None:
     for call in (CALL.replace("ReadMessages", "WriteMessages"), "/rerun.cloud.v1/X/ReadX"):
         assert page.post(call, b"").status == 404
+
+
+def test_viz_that_does_not_answer_is_given_up(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(relay, "HEADERS_S", 0.1)
+    with socket.create_server(("127.0.0.1", 0)) as deaf:
+        page.viewer_url = f"rerun+http://127.0.0.1:{deaf.getsockname()[1]}/proxy"
+        answer = page.post(CALL, b"")
+    assert answer.status == 502
+    assert "does not answer within" in answer.json["text"]
 
 
 def test_no_stream_is_a_sentence(page: Page) -> None:
