@@ -31,7 +31,7 @@ class Picture:
     """The newest of everything, as sections.
 
     Attributes:
-        viewer_url: where viz serves its stream, once it has said so.
+        viewer_url: where viz serves its stream, once it has said so and if that is this host.
         versions_stale: the retrainer should be asked for its versions.
     """
 
@@ -51,8 +51,10 @@ class Picture:
         m.Event,
     )
 
-    def __init__(self, settings: RobotSettings, simulated: bool) -> None:
+    def __init__(self, settings: RobotSettings, simulated: bool, host: str = "") -> None:
         self.viewer_url = ""
+        self._host = host
+        self._viewer_host = ""
         self.versions_stale = True
         self._settings = settings
         self._simulated = simulated
@@ -171,7 +173,11 @@ class Picture:
             ],
             "methods": m.METHODS,
             "growth": {"method": settings.growth.method, "n_new": settings.growth.n_new},
-            "viewer": {"there": bool(self.viewer_url), "number": self._viewers},
+            "viewer": {
+                "there": bool(self.viewer_url),
+                "number": self._viewers,
+                "host": self._viewer_host,
+            },
         }
 
     def _range(self, joint: str) -> dict[str, float]:
@@ -292,7 +298,9 @@ class Picture:
         self._events = in_order[-EVENTS:]
         self._changed.add("events")
         if event.kind == "viewer":
-            self.viewer_url = event.data.get("url", "")
+            self._viewer_host = event.data.get("host", self._host)
+            here = self._viewer_host == self._host  # it serves on its host's loopback
+            self.viewer_url = event.data.get("url", "") if here else ""
             self._viewers += 1
             self._changed.add("robot")
 

@@ -287,8 +287,20 @@ def test_a_viewer_that_comes_back_is_another_one(picture: Picture) -> None:
             data={"url": f"rerun+http://127.0.0.1:{port}/proxy"},
         )
         picture.receive(event, NOW_S)
-        assert sections(picture)["robot"]["viewer"] == {"there": True, "number": number}
+        told = sections(picture)["robot"]["viewer"]
+        assert told == {"there": True, "number": number, "host": ""}
     assert picture.viewer_url == "rerun+http://127.0.0.1:2/proxy"
+
+
+def test_a_view_on_another_hosts_loopback_is_not_ours() -> None:
+    picture = Picture(elbow(), simulated=True, host="robot")
+    for host, there in (("workstation", False), ("robot", True)):
+        data = {"url": "rerun+http://127.0.0.1:1/proxy", "host": host}
+        event = m.Event(process="viz", level="info", kind="viewer", text="live view", data=data)
+        picture.receive(event, NOW_S)
+        assert bool(picture.viewer_url) is there
+        told = sections(picture)["robot"]["viewer"]
+        assert (told["there"], told["host"]) == (there, host)
 
 
 def test_the_robots_of_this_host(picture: Picture, tmp_path: Path) -> None:

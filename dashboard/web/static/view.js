@@ -74,6 +74,7 @@ function draw() {
 }
 
 function note() {
+  if (viewer?.number && !viewer.there) return `The picture is drawn on ${viewer.host}, for that host alone: open it there by myograft view.`;
   if (!viewer?.there) return "The process viz has not said yet where its picture is.";
   if (elsewhere) return "Another window of this browser has the view. Show brings it here.";
   if (wanted === false) return "Hidden. Plots, lanes and the moving body are one press away.";
