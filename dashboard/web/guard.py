@@ -29,7 +29,7 @@ _HEADERS = {
     "Cache-Control": "no-cache",  # a page and its scripts are of one release
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "SAMEORIGIN",
-    "Referrer-Policy": "no-referrer",
+    "Referrer-Policy": "same-origin",  # without one a form's `Origin` is null
 }
 _POLICY = (
     "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
