@@ -16,7 +16,7 @@ import msgspec
 import pytest
 
 from runtime import messages as m
-from runtime.hubs import address_file
+from runtime.hubs import address_file, free_port
 from tests.e2e.conftest import Robot, elbow, running
 
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or ""
@@ -195,37 +195,15 @@ def test_a_muscle_is_plugged_in_and_all_pages_see_it_grow(
     other.close()
 
 
-def test_the_key_stops_the_arm_from_inside_the_viewer(
-    browser: Browser, robot: Robot, address: str
+def test_the_key_stops_the_arm_and_reset_lets_it_hold(
+    page: Page, robot: Robot, shots: Path
 ) -> None:
-    page = browser.new_page()
-    page.set_default_timeout(PATIENCE_MS)
-    refused: list[str] = []
-    page.on("console", lambda told: "Content Security" in told.text and refused.append(told.text))
-    held: list[Route] = []  # before it draws: without a graphics card that takes all the time
-    page.route("**/re_viewer_bg.wasm", lambda route: held.append(route))
-    page.goto(address)
-    with page.expect_request("**/re_viewer_bg.wasm"):
-        page.get_by_role("button", name="Show").click()
-    view = page.get_by_title("Live view by Rerun")
-    view.click()
-    page.keyboard.press("F6")
-    expect(page.get_by_role("heading", name="Controls")).to_be_focused()
-    view.click()
     since = robot.watch.mark()
+    page.locator("h1").click()
     page.keyboard.press("Escape")
     robot.watch.wait_for(m.ChainState, lambda x: x.mode == "stopping", since=since)
     expect(page.locator("#answers .good").last).to_contain_text("pay out until slack")
-    with page.expect_response("**/rerun.sdk_comms.*/ReadMessages") as stream:
-        held[0].continue_()
-    assert stream.value.status == 200
-    assert refused == []
-    page.close()
-
-
-def test_a_stop_is_told_and_reset_lets_it_hold(page: Page, robot: Robot, shots: Path) -> None:
-    """Of the stop before this."""
-    robot.watch.wait_for(m.ChainState, lambda x: x.mode == "stopped", since=robot.watch.mark())
+    robot.watch.wait_for(m.ChainState, lambda x: x.mode == "stopped", since=since)
     expect(page.get_by_role("alert").first).to_contain_text("Stopped and latched")
     expect(page.locator("#stage")).to_have_text("stopped")
     page.screenshot(path=shots / "stopped.png", full_page=True)
@@ -325,8 +303,15 @@ def test_results_are_shown_and_the_stop_is_there_too(
     context.close()
 
 
+def tell(server: Server, picture: Picture, *messages: m.Message) -> None:
+    """To a server without a robot: what cannot be seen of this one, for it is simulated."""
+    for message in messages:
+        picture.receive(message, 0.0)
+    for name, section in picture.sections(0.0, {}):
+        server.publish(name, section)
+
+
 def test_what_a_real_robot_and_another_run_look_like(browser: Browser, tmp_path: Path) -> None:
-    """Its server is fed by hand: this robot is simulated, and its run is the first."""
     modules = [
         m.ModuleInfo(name=name, kind="muscle", module_id=i, serial=i, state="up", tension_limit_n=9)
         for i, name in enumerate(("triceps", "biceps_1"), start=2)
@@ -340,12 +325,6 @@ def test_what_a_real_robot_and_another_run_look_like(browser: Browser, tmp_path:
         target_length_m=(0.1, 0.1),
         mode="hold",
     )
-
-    def tell(server: Server, picture: Picture, *messages: m.Message) -> None:
-        for message in messages:
-            picture.receive(message, 0.0)
-        for name, section in picture.sections(0.0, {}):
-            server.publish(name, section)
 
     with served(tmp_path) as server:
         group = m.GroupState(ready=True, run_dir="first", processes=())
@@ -366,6 +345,82 @@ def test_what_a_real_robot_and_another_run_look_like(browser: Browser, tmp_path:
         expect(page.get_by_label("Spare").locator("option")).to_have_text(
             ["biceps_2 on arm", "biceps_3 on arm"]
         )
+        page.close()
+
+
+def test_the_view_has_its_stream_and_keeps_no_key_to_itself(
+    browser: Browser, tmp_path: Path
+) -> None:
+    rr = pytest.importorskip("rerun", reason="needs the extra myograft[view]")
+    port = free_port()
+    stream = rr.RecordingStream("myograft test")
+    stream.set_sinks(rr.GrpcServerSink("127.0.0.1", port, server_memory_limit="16MiB"))
+    page = browser.new_page()
+    page.set_default_timeout(PATIENCE_MS)
+    refused: list[str] = []
+    page.on("console", lambda told: "Content Security" in told.text and refused.append(told.text))
+    held: list[Route] = []  # before it draws: without a graphics card that takes all the time
+    page.route("**/re_viewer_bg.wasm", lambda route: held.append(route))
+    with served(tmp_path) as server:
+        server.viewer_url = f"rerun+http://127.0.0.1:{port}/proxy"
+        tell(server, Picture(shipped(), simulated=True), viewer_event())
+        page.goto(server.place.url)
+        with page.expect_request("**/re_viewer_bg.wasm"):
+            page.get_by_role("button", name="Show").click()
+        page.frames[-1].wait_for_load_state()
+        view = page.get_by_title("Live view by Rerun")
+        view.click()
+        page.keyboard.press("F6")
+        expect(page.get_by_role("heading", name="Controls")).to_be_focused()
+        view.click()
+        page.keyboard.press("Escape")
+        expect(page.locator("#answers .good")).to_contain_text("Stop")
+        assert [type(request) for request in server.asked] == [m.Estop]
+        with page.expect_response("**/rerun.sdk_comms.*/ReadMessages") as answer:
+            held[0].continue_()
+        assert answer.value.status == 200
+        assert refused == []
+        page.close()
+    stream.disconnect()
+
+
+def viewer_event() -> m.Event:
+    data = {"url": "rerun+http://127.0.0.1:1/proxy"}
+    return m.Event(process="viz", level="info", kind="viewer", text="live view", data=data)
+
+
+def test_one_window_of_a_browser_has_the_view(browser: Browser, tmp_path: Path) -> None:
+    context = browser.new_context()
+    context.route("**/viewer/**", lambda route: route.fulfill(body=""))
+    with served(tmp_path) as server:
+        tell(server, Picture(shipped(), simulated=True), viewer_event())
+        first, second = (context.new_page() for _ in range(2))
+        first.goto(server.place.url)
+        first.get_by_role("button", name="Show").click()
+        expect(first.get_by_title("Live view by Rerun")).to_be_visible()
+        second.goto(server.place.url)
+        expect(second.get_by_title("Live view by Rerun")).to_be_visible()
+        expect(first.get_by_title("Live view by Rerun")).to_have_count(0)
+        expect(first.locator("#view-note")).to_contain_text("Another window of this browser")
+        first.get_by_role("button", name="Show").click()
+        expect(second.get_by_title("Live view by Rerun")).to_have_count(0)
+        context.close()
+
+
+def test_a_wrong_token_is_told_and_the_right_one_leads_on(
+    browser: Browser, tmp_path: Path, shots: Path
+) -> None:
+    with served(tmp_path, address="0.0.0.0") as server:
+        page = browser.new_page(viewport=PHONE)  # type: ignore[arg-type]
+        page.goto(f"http://127.0.0.1:{server.port}/results")
+        page.get_by_label("Token").fill("nonsense")
+        page.keyboard.press("Enter")
+        expect(page.get_by_role("alert")).to_have_text("That is not the token of this robot.")
+        page.screenshot(path=shots / "login.png")
+        accessible(page)
+        page.get_by_label("Token").fill(server.place.rules.token)
+        page.keyboard.press("Enter")
+        expect(page.get_by_role("heading", name="Results")).to_be_visible()
         page.close()
 
 
