@@ -15,6 +15,7 @@ from runtime import messages as m
 from runtime.body_names import read_body
 from runtime.growing import Growing
 from runtime.hubs import Hub
+from runtime.limits import HOT, WARM
 from runtime.settings import RobotSettings
 
 EVENTS = 60  # that are shown, and kept
@@ -199,6 +200,8 @@ class Picture:
         limit_degc = self._settings.module.temperature_limit_degc
         return {
             "temperature_limit_degc": limit_degc,
+            "warm": WARM,
+            "hot": HOT,
             "chains": [
                 {
                     "chain": chain.name,

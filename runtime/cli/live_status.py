@@ -15,13 +15,13 @@ from runtime import messages as m
 from runtime.cli.client import Client
 from runtime.cli.main import DONE, NOT_RUNNING
 from runtime.cli.status import Picture
+from runtime.limits import HOT, WARM
 
 PERIOD_S = 0.25
 SILENT_S = 2.5  # the supervisor and every process speak once a second
 STALE_NS = 500_000_000  # an estimate that is older is none
 BAR = 12  # characters
 WIDE = 150  # characters: then processes stand beside modules
-WARM, HOT = 0.6, 0.85  # of a limit
 _LEVELS = {"info": "", "warning": "yellow", "error": "bold red"}
 _STATES = {"ready": "green", "up": "green", "starting": "yellow", "joining": "yellow"}
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 import os
 import shutil
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -303,8 +305,26 @@ def test_results_are_shown_and_the_stop_is_there_too(
     context.close()
 
 
+@contextmanager
+def fed(folder: Path) -> Iterator[Server]:
+    """A server without a robot, fed by hand; its heart beats as the process's does."""
+    over = threading.Event()
+    with served(folder) as server:
+
+        def beat() -> None:
+            while not over.wait(0.5):
+                server.publish("beat", time.monotonic())
+
+        thread = threading.Thread(target=beat)
+        thread.start()
+        try:
+            yield server
+        finally:
+            over.set()
+            thread.join()
+
+
 def tell(server: Server, picture: Picture, *messages: m.Message) -> None:
-    """To a server without a robot: what cannot be seen of this one, for it is simulated."""
     for message in messages:
         picture.receive(message, 0.0)
     for name, section in picture.sections(0.0, {}):
@@ -320,13 +340,13 @@ def test_what_a_real_robot_and_another_run_look_like(browser: Browser, tmp_path:
         chain="arm",
         muscles=("triceps", "biceps_1"),
         length_m=(0.1, 0.1),
-        tension_n=(math.nan, 3.0),
+        tension_n=(math.nan, 6.0),
         temperature_degc=(25.0, 25.0),
         target_length_m=(0.1, 0.1),
         mode="hold",
     )
 
-    with served(tmp_path) as server:
+    with fed(tmp_path) as server:
         group = m.GroupState(ready=True, run_dir="first", processes=())
         body = m.ChainBody(chain="arm", modules=tuple(modules))
         tell(server, Picture(shipped(), simulated=False), group, body, state)
@@ -334,6 +354,8 @@ def test_what_a_real_robot_and_another_run_look_like(browser: Browser, tmp_path:
         page.goto(server.place.url)
         gauges = page.locator(module_of("triceps")).locator(".value")
         expect(gauges).to_have_text(["–", "25.0 of 80 °C"])
+        bar = page.get_by_role("meter", name="tension of biceps_1").locator("i")
+        expect(bar).to_have_class("amber")  # 6 of 9 N
         expect(page.get_by_role("button", name="Identify triceps")).to_be_visible()
         expect(page.get_by_role("button", name="Unplug triceps")).to_be_hidden()
         expect(page.get_by_role("button", name="Plug in")).to_be_hidden()
@@ -361,7 +383,7 @@ def test_the_view_has_its_stream_and_keeps_no_key_to_itself(
     page.on("console", lambda told: "Content Security" in told.text and refused.append(told.text))
     held: list[Route] = []  # before it draws: without a graphics card that takes all the time
     page.route("**/re_viewer_bg.wasm", lambda route: held.append(route))
-    with served(tmp_path) as server:
+    with fed(tmp_path) as server:
         server.viewer_url = f"rerun+http://127.0.0.1:{port}/proxy"
         tell(server, Picture(shipped(), simulated=True), viewer_event())
         page.goto(server.place.url)
@@ -392,7 +414,7 @@ def viewer_event() -> m.Event:
 def test_one_window_of_a_browser_has_the_view(browser: Browser, tmp_path: Path) -> None:
     context = browser.new_context()
     context.route("**/viewer/**", lambda route: route.fulfill(body=""))
-    with served(tmp_path) as server:
+    with fed(tmp_path) as server:
         tell(server, Picture(shipped(), simulated=True), viewer_event())
         first, second = (context.new_page() for _ in range(2))
         first.goto(server.place.url)

@@ -14,6 +14,7 @@ import dashboard.web
 from dashboard.web.picture import EVENTS, Picture
 from runtime import messages as m
 from runtime.hubs import Hub, address_file
+from runtime.limits import HOT, WARM
 from tests.unit.page_server import elbow
 
 NOW_S = 1000.0
@@ -86,6 +87,7 @@ def test_chains_have_their_modules_in_order_with_gauges(picture: Picture) -> Non
     told = sections(picture)
     (chain,) = told["chains"]["chains"]
     assert told["chains"]["temperature_limit_degc"] == 80.0
+    assert (told["chains"]["warm"], told["chains"]["hot"]) == (WARM, HOT)
     assert (chain["chain"], chain["link"]) == ("arm", "simulated")
     assert [x["name"] for x in chain["modules"]] == ["triceps", "elbow"]
     assert chain["modules"][0]["serial"] == "00000abc"

@@ -3,10 +3,11 @@
 import { ask } from "./ask.js";
 import { breakable, byId, el, keyed, say, twice } from "./dom.js";
 
-const AMBER = 0.8; // of a limit
+const shares = { warm: 1, hot: 1 }; // of a limit: as the server tells it
 const HELD = new Map(); // module -> until when its LED blinks
 
-export function showChains({ chains, temperature_limit_degc }) {
+export function showChains({ chains, temperature_limit_degc, warm, hot }) {
+  Object.assign(shares, { warm, hot });
   keyed(byId("chains"), chains, (chain) => chain.chain, makeChain, (element, chain) => {
     keyed(element.querySelector("ol"), [null, ...chain.modules],
       (module) => (module ? `${module.serial}/${module.name}` : "master"),
@@ -77,7 +78,7 @@ function setGauge(item, quantity, value, limit, unit) {
   meter.setAttribute("aria-valuetext", value == null ? "no reading" : `${value} of ${limit} ${unit}`);
   const bar = meter.firstElementChild;
   bar.style.setProperty("--level", share);
-  bar.className = share >= 1 ? "bad" : share >= AMBER ? "amber" : "";
+  bar.className = share > shares.hot ? "bad" : share > shares.warm ? "amber" : "";
   say(place.querySelector(".value"), value == null ? "–" : `${value.toFixed(1)} of ${limit.toFixed(0)} ${unit}`);
 }
 
