@@ -24,7 +24,7 @@ FRAME_NS = 62_000_000
 
 
 class Stream:
-    """Draws one robot. `url`, where the picture can be watched, is announced once."""
+    """Draws one robot. `url`, where the picture can be watched on `host`, is announced once."""
 
     requests: tuple[type[m.Message], ...] = ()
     period_ns = DRAW_NS
@@ -35,6 +35,7 @@ class Stream:
         canvas: Canvas,
         body: Skeleton | None = None,
         url: str = "",
+        host: str = "",
     ) -> None:
         self._canvas = canvas
         self._plots = Plots(settings, canvas)
@@ -50,7 +51,7 @@ class Stream:
                 for kind in part.inputs:
                     self._readers.setdefault(kind, []).append(part.receive)
         self.inputs = tuple(self._readers)
-        self._url = url
+        self._url, self._host = url, host
         self._drawn_ns = self._framed_ns = -DRAW_NS
 
     def receive(self, message: m.Message, now_ns: int) -> None:
@@ -84,7 +85,7 @@ class Stream:
                 level="info",
                 kind="viewer",
                 text=f"live view at {url}",
-                data={"url": url},
+                data={"url": url, "host": self._host},
             ),
         )
 

@@ -12,6 +12,7 @@ bounded, so the robot never waits for the picture.
 from __future__ import annotations
 
 import gc
+import socket
 import time
 from collections import deque
 from operator import attrgetter
@@ -41,7 +42,7 @@ def main(launch: Launch) -> None:
     body, canvas = canvas_of(settings, launch.run_dir.name, file, free_port())
     (launch.run_dir / f"{settings.name}.viewer").write_text(canvas.url)
     try:
-        _loop(launch, Stream(settings, canvas, body, canvas.url))
+        _loop(launch, Stream(settings, canvas, body, canvas.url, socket.gethostname()))
     finally:
         canvas.close()
 

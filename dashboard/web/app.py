@@ -19,6 +19,7 @@ from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import (
     FileResponse,
+    HTMLResponse,
     JSONResponse,
     RedirectResponse,
     Response,
@@ -29,14 +30,15 @@ from starlette.staticfiles import StaticFiles
 
 from dashboard.viewer import ViewerError
 from dashboard.web import embedded, results
-from dashboard.web.embedded import Relay, RelayError
 from dashboard.web.feed import EventStream, Feed
 from dashboard.web.guard import Guard, Rules, log_in, said
+from dashboard.web.relay import CALLS, Relay, RelayError
 from runtime.messages import Estop, Message, Reply
 from runtime.topics import REQUESTS
 
 STATIC = Path(__file__).parent / "static"
 LONGEST_BODY = 64 * 1024
+WRONG_TOKEN = '<p role="alert" class="problem">That is not the token of this robot.</p>'
 BY_WORD = {row.key.rsplit("/", 1)[-1]: row.message for row in REQUESTS}
 
 Ask = Callable[[Message], list[Reply]]
@@ -62,7 +64,8 @@ def make_app(
     urgent = ThreadPoolExecutor(2, "estop")  # a stop never waits for other requests' answers
 
     def page(name: str) -> Callable[[Request], Response]:
-        return lambda _: FileResponse(STATIC / name, headers={"Cache-Control": "no-cache"})
+        text = (STATIC / name).read_text().replace("{robot}", rules.robot)
+        return lambda _: HTMLResponse(text)
 
     async def state(_: Request) -> Response:
         body = {name: msgspec.Raw(data) for name, data in feed.newest.items()}
@@ -87,10 +90,11 @@ def make_app(
 
     async def login(request: Request) -> Response:
         asked = request.method == "POST"
-        if asked and (response := log_in(request, await _body(request), rules)):
+        if asked and (response := await log_in(request, await _body(request), rules)):
             return response
-        status = 403 if asked else 200
-        return FileResponse(STATIC / "login.html", status)
+        problem = WRONG_TOKEN if asked else ""
+        text = (STATIC / "login.html").read_text().replace("{problem}", problem)
+        return HTMLResponse(text, 403 if asked else 200)
 
     async def viewer(request: Request) -> Response:
         name, release = request.path_params["name"], embedded.release()
@@ -113,7 +117,7 @@ def make_app(
 
     async def relay(request: Request) -> Response:
         path = request.scope["path"]
-        if not embedded.CALLS.fullmatch(path):
+        if not CALLS.fullmatch(path):
             return said(404, "a viewer may read viz's stream, and nothing else")
         try:
             call = Relay(viewer_url())

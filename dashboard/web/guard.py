@@ -8,6 +8,7 @@ is asked for besides: as `Authorization: Bearer`, once as `?token=`, or typed in
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
 import secrets
 import socket
@@ -22,11 +23,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 SAFE = ("GET", "HEAD")
 OPEN = ("/login", "/static/style.css", "/static/icon.svg")  # what the page that asks for it needs
 COOKIE_AGE_S = 30 * 24 * 3600
+WRONG_S = 0.5  # before a wrong token is refused, so that not many can be tried
 
 _HEADERS = {
+    "Cache-Control": "no-cache",  # a page and its scripts are of one release
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "SAMEORIGIN",
-    "Referrer-Policy": "no-referrer",
+    "Referrer-Policy": "same-origin",  # without one a form's `Origin` is null
 }
 _POLICY = (
     "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
@@ -47,8 +50,9 @@ class Rules:
     Attributes:
         robot: names the cookie, for cookies do not tell ports apart.
         token: that is asked for; "" asks for none.
-        names: host names by which we are known, beside this host's own and IP addresses.
-        anywhere: asked from other hosts too; else by a loopback name only.
+        names: host names by which we are known besides.
+        anywhere: asked from other hosts too, by this host's own names and addresses; else by a
+            loopback name only.
     """
 
     robot: str
@@ -63,15 +67,14 @@ class Rules:
 
     def knows(self, host: str) -> bool:
         """Whether a `Host` is a name of ours. An address in digits is: nobody can rebind that."""
-        name = _without_port(host).lower().rstrip(".")
-        if name == "localhost":
+        name = _plain_name(host)
+        if name in ("localhost", *map(_plain_name, self.names)):
             return True
         try:
             address = ipaddress.ip_address(name.strip("[]"))
         except ValueError:
             here = socket.gethostname()
-            own = (here, f"{here}.local", *self.names) if self.anywhere else ()
-            return name in [known.lower() for known in own]
+            return self.anywhere and name in (here.lower(), f"{here}.local".lower())
         return self.anywhere or address.is_loopback
 
     def fits(self, token: str | None) -> bool:
@@ -102,14 +105,17 @@ class Guard:
             await send(message)
 
         refusal = self._refusal(HTTPConnection(scope))
+        if refusal is not None and refusal.status_code == 401:
+            await asyncio.sleep(WRONG_S)
         await (refusal or self._app)(scope, receive, send_with_headers)
 
     def _refusal(self, request: HTTPConnection) -> Response | None:
         headers, rules = request.headers, self._rules
         host = headers.get("host", "")
         if not rules.knows(host):
-            text = f"this page is not served as '{host}'; add that name to [web] names"
-            return said(421, text)
+            name = f"this page is not served as '{_plain_name(host)}'"
+            advice = "if that is a name of its host, add it to [web] names in the robot file"
+            return said(421, f"{name}; {advice}")
         if request.scope["method"] not in SAFE and not _same_origin(headers, request.url):
             text = f"a page of {headers.get('origin')} may not speak to this robot"
             return said(403, text)
@@ -122,14 +128,12 @@ class Guard:
         if rules.fits(_bearer(headers)) or rules.fits(request.cookies.get(rules.cookie)):
             return None
         if "text/html" in headers.get("accept", ""):
-            return RedirectResponse("/login", 303)
+            return RedirectResponse(f"/login?{urlencode({'then': _where(request)})}", 303)
         return said(401, "this page asks for its token: Authorization: Bearer TOKEN")
 
     def _welcome(self, request: HTTPConnection) -> Response:
         """Put the token where the address line does not show it."""
-        query = [pair for pair in parse_qsl(request.url.query) if pair[0] != "token"]
-        where = request.url.path + (f"?{urlencode(query)}" if query else "")
-        return with_cookie(RedirectResponse(where, 303), request.url, self._rules)
+        return with_cookie(RedirectResponse(_where(request), 303), request.url, self._rules)
 
 
 def with_cookie(response: Response, url: URL, rules: Rules) -> Response:
@@ -145,17 +149,25 @@ def with_cookie(response: Response, url: URL, rules: Rules) -> Response:
     return response
 
 
-def log_in(request: Request, body: bytes, rules: Rules) -> Response | None:
-    """Where a token that was typed in leads; None when it is the wrong one."""
+async def log_in(request: Request, body: bytes, rules: Rules) -> Response | None:
+    """To the page that was asked for first, with a token that was typed in; None: a wrong one."""
     form = dict(parse_qsl(body.decode(errors="replace")))
     if not rules.fits(form.get("token", "").strip()):
+        await asyncio.sleep(WRONG_S)
         return None
-    return with_cookie(RedirectResponse("/", 303), request.url, rules)
+    path = "/" + request.query_params.get("then", "").lstrip("/")  # `//name` is another host
+    return with_cookie(RedirectResponse(path, 303), request.url, rules)
 
 
 def said(status: int, text: str) -> Response:
     """A refusal in one sentence, as every answer of this server has it."""
     return JSONResponse({"ok": False, "text": text}, status)
+
+
+def _where(request: HTTPConnection) -> str:
+    """What was asked for, but for the token."""
+    query = [pair for pair in parse_qsl(request.url.query) if pair[0] != "token"]
+    return request.url.path + (f"?{urlencode(query)}" if query else "")
 
 
 def _same_origin(headers: Headers, url: URL) -> bool:
@@ -169,7 +181,7 @@ def _bearer(headers: Headers) -> str:
     return token.strip() if kind.lower() == "bearer" else ""
 
 
-def _without_port(host: str) -> str:
-    if host.startswith("["):
-        return host.partition("]")[0] + "]"
-    return host.partition(":")[0]
+def _plain_name(host: str) -> str:
+    """Without port, capitals and the dot of a full name."""
+    name = host.partition("]")[0] + "]" if host.startswith("[") else host.partition(":")[0]
+    return name.lower().rstrip(".")

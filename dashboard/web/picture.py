@@ -15,6 +15,7 @@ from runtime import messages as m
 from runtime.body_names import read_body
 from runtime.growing import Growing
 from runtime.hubs import Hub
+from runtime.limits import HOT, WARM
 from runtime.settings import RobotSettings
 
 EVENTS = 60  # that are shown, and kept
@@ -31,7 +32,7 @@ class Picture:
     """The newest of everything, as sections.
 
     Attributes:
-        viewer_url: where viz serves its stream, once it has said so.
+        viewer_url: where viz serves its stream, once it has said so and if that is this host.
         versions_stale: the retrainer should be asked for its versions.
     """
 
@@ -51,8 +52,10 @@ class Picture:
         m.Event,
     )
 
-    def __init__(self, settings: RobotSettings, simulated: bool) -> None:
+    def __init__(self, settings: RobotSettings, simulated: bool, host: str = "") -> None:
         self.viewer_url = ""
+        self._host = host
+        self._viewer_host = ""
         self.versions_stale = True
         self._settings = settings
         self._simulated = simulated
@@ -77,7 +80,11 @@ class Picture:
         self._slow_due_s = 0.0
 
     def receive(self, message: m.Message, now_s: float) -> None:
-        """Take in one message of `inputs`."""
+        """Take in one message of `inputs`.
+
+        Raises:
+            ValueError: it contradicts itself; nothing of it is kept.
+        """
         self._take_growing(message)
         match message:
             case m.Clock():
@@ -93,6 +100,7 @@ class Picture:
                 self._bodies[message.chain] = message
                 self._changed.add("chains")
             case m.ChainState():
+                _check_even(message)
                 self._states[message.chain] = message
                 self._heard_s[message.chain] = now_s
             case m.JointState():
@@ -160,10 +168,17 @@ class Picture:
                 for joint in settings.joint
             ],
             "tasks": [{"name": t.name, "targets": len(t.targets_deg)} for t in settings.task],
-            "spares": [{"name": spare.name, "chain": spare.chain} for spare in settings.spare],
+            "muscles": [
+                *({"name": row.name, "chain": row.chain} for row in settings.muscle),
+                *({"name": row.name, "chain": row.chain} for row in settings.spare),
+            ],
             "methods": m.METHODS,
             "growth": {"method": settings.growth.method, "n_new": settings.growth.n_new},
-            "viewer": {"there": bool(self.viewer_url), "number": self._viewers},
+            "viewer": {
+                "there": bool(self.viewer_url),
+                "number": self._viewers,
+                "host": self._viewer_host,
+            },
         }
 
     def _range(self, joint: str) -> dict[str, float]:
@@ -175,7 +190,6 @@ class Picture:
         silent = now_s - self._heard_s.get("", -math.inf) > GROUP_SILENT_S
         return {
             "supervised": group is not None and not silent,
-            "ready": group is not None and group.ready,
             "run_dir": group.run_dir if group else "",
             "rows": [process_row(row, self._health.get(row.process)) for row in group.processes]
             if group
@@ -186,6 +200,8 @@ class Picture:
         limit_degc = self._settings.module.temperature_limit_degc
         return {
             "temperature_limit_degc": limit_degc,
+            "warm": WARM,
+            "hot": HOT,
             "chains": [
                 {
                     "chain": chain.name,
@@ -207,22 +223,17 @@ class Picture:
         state, progress = self._executive, self._progress
         if state is None:
             return {"stage": "waiting", "text": "the executive has not spoken yet"}
-        shown = ("stage", "task", "step", "steps", "settled", "growing", "schema_version", "text")
+        shown = ("stage", "task", "step", "steps", "settled", "schema_version", "text")
         doing: dict[str, object] = {name: getattr(state, name) for name in shown}
         doing["growth"] = self._growing.words
         if state.stage == "stopped":
             doing["text"] = RESET
         if state.stage == "relearn" and progress is not None:
             doing["training"] = {"epoch": progress.epoch, "epochs": progress.epochs}
-            doing["training_stage"] = progress.stage
         return doing
 
     def _versions(self) -> dict[str, object]:
-        active = self._schema
-        return {
-            "active": active.version if active else None,
-            "rows": [version_row(row) for row in reversed(self._rows)],
-        }
+        return {"rows": [version_row(row) for row in reversed(self._rows)]}
 
     def _story(self) -> dict[str, object]:
         return {
@@ -290,6 +301,15 @@ class Picture:
         self._events = in_order[-EVENTS:]
         self._changed.add("events")
         if event.kind == "viewer":
-            self.viewer_url = event.data.get("url", "")
+            self._viewer_host = event.data.get("host", self._host)
+            here = self._viewer_host == self._host  # it serves on its host's loopback
+            self.viewer_url = event.data.get("url", "") if here else ""
             self._viewers += 1
             self._changed.add("robot")
+
+
+def _check_even(state: m.ChainState) -> None:
+    lengths = len(state.muscles), len(state.tension_n), len(state.temperature_degc)
+    if len(set(lengths)) > 1:
+        what = "{} muscles, {} tensions and {} temperatures".format(*lengths)
+        raise ValueError(f"chain '{state.chain}' tells of {what}")

@@ -22,6 +22,7 @@ from runtime.settings import RobotSettings
 from runtime.settings_file import shown
 
 TOKEN_VARIABLE = "MYOGRAFT_WEB_TOKEN"
+SHORTEST = 16  # characters of a token
 PORTS = 100  # that are tried
 
 
@@ -45,18 +46,19 @@ def take_place(settings: RobotSettings, run_dir: Path, state_dir: Path) -> Place
     """Listen where the robot file says.
 
     Raises:
-        PlaceError: the address is not this host's, no port is free, or the certificate is none.
+        PlaceError: the address is not this host's, no port is free, the certificate is none, or
+            the token that was given is too short.
     """
     web = settings.web
     certificate, key = (settings.beside(x) if x else None for x in (web.certificate, web.key))
     _check(certificate, key)
     address = ipaddress.ip_address(web.address)
+    token = _given_token()
     note = address_file(run_dir, "web")
     listening = _listen(str(address), _ports(web.port, note))
     port = listening.getsockname()[1]
     name = _name(address)
     url = f"{'https' if web.certificate else 'http'}://{name}:{port}"
-    token = os.environ.get(TOKEN_VARIABLE, "").strip()
     told = url
     if not address.is_loopback and not token:
         file = state_dir / "token"
@@ -127,6 +129,15 @@ def _name(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
 
 def _bracketed(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
     return f"[{address}]" if address.version == 6 else str(address)
+
+
+def _given_token() -> str:
+    token = os.environ.get(TOKEN_VARIABLE, "").strip()
+    if 0 < len(token) < SHORTEST:
+        what = f"{TOKEN_VARIABLE} has {len(token)} characters, {SHORTEST} are needed"
+        advice = "python3 -c 'import secrets; print(secrets.token_urlsafe())'"
+        raise PlaceError(f"{what}; make one by: {advice}")
+    return token
 
 
 def _kept_token(file: Path) -> str:

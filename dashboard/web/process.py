@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import socket
 import time
 from collections.abc import Iterator
 
@@ -50,7 +51,7 @@ def main(launch: Launch) -> None:
 
 
 async def _serve(launch: Launch, member: Member, place: Place) -> None:
-    picture, feed = Picture(launch.settings, launch.simulated), Feed()
+    picture, feed = Picture(launch.settings, launch.simulated, socket.gethostname()), Feed()
     app = make_app(
         feed,
         member.bus.request,

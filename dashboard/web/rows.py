@@ -27,9 +27,9 @@ def process_row(row: m.ProcessRow, health: m.Health | None) -> Row:
         "pid": row.pid,
         "restarts": row.restarts,
         "last_exit": row.last_exit,
-        "tick_hz": round(health.tick_hz) if health else None,
+        "tick_hz": round(health.tick_hz, 0) if health else None,  # NaN stays one
         "cpu_percent": round(health.cpu_percent, 1) if health else None,
-        "memory_mb": round(health.memory_mb) if health else None,
+        "memory_mb": round(health.memory_mb, 0) if health else None,
         "dropped": health.dropped if health else None,
     }
 

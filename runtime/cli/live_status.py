@@ -14,12 +14,12 @@ from rich.text import Text
 from runtime.cli.client import Client
 from runtime.cli.main import DONE, NOT_RUNNING
 from runtime.cli.status import Picture
+from runtime.limits import HOT, WARM
 
 PERIOD_S = 0.25
 SILENT_S = 2.5  # the supervisor and every process speak once a second
 BAR = 12  # characters
 WIDE = 150  # characters: then processes stand beside modules
-WARM, HOT = 0.6, 0.85  # of a limit
 _LEVELS = {"info": "", "warning": "yellow", "error": "bold red"}
 _MODES = {"silent": "bold red", "stopping": "bold red", "stopped": "bold red"}
 _STATES = {"ready": "green", "up": "green", "starting": "yellow", "joining": "yellow"}

@@ -57,11 +57,11 @@ def test_events_are_logged_with_their_own_time_and_level(
 
 
 def test_url_is_announced_once(settings: RobotSettings, canvas: PaperCanvas) -> None:
-    stream = Stream(settings, canvas, url="rerun+http://127.0.0.1:1/proxy")
+    stream = Stream(settings, canvas, url="rerun+http://127.0.0.1:1/proxy", host="here")
     (event,) = stream.tick(SECOND)
     assert isinstance(event, m.Event)
     assert event.kind == "viewer"
-    assert event.data == {"url": "rerun+http://127.0.0.1:1/proxy"}
+    assert event.data == {"url": "rerun+http://127.0.0.1:1/proxy", "host": "here"}
     assert list(stream.tick(2 * SECOND)) == []
 
 

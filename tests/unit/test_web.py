@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import socket
 import ssl
@@ -15,10 +16,11 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from urllib.parse import urlencode
 
 import pytest
 
-from dashboard.web import embedded
+from dashboard.web import embedded, guard, relay
 from dashboard.web import feed as feeds
 from dashboard.web.app import BY_WORD
 from dashboard.web.guard import Rules
@@ -63,6 +65,12 @@ def test_pages_hold_nothing_from_elsewhere(page: Page, path: str) -> None:
     for file in (b"/static/style.css", b"/static/icon.svg"):
         assert file in answer.body
         assert page.get(file.decode()).status == 200
+
+
+@pytest.mark.parametrize("path", ["/", "/results"])
+def test_pages_know_their_robot_before_anybody_speaks(page: Page, path: str) -> None:
+    """It is named in the command that stops it when the page cannot."""
+    assert b'<body data-robot="elbow">' in page.get(path).body
 
 
 def test_what_is_not_there_is_a_sentence(page: Page) -> None:
@@ -233,8 +241,23 @@ def test_names_of_this_host(page: Page, host: str) -> None:
 def test_a_name_that_somebody_else_has_given_us_is_refused(page: Page, host: str) -> None:
     answer = page.post("/api/request/estop", "{}", Host=host)
     assert answer.status == 421
-    assert f"not served as '{host}'" in answer.json["text"]
+    assert f"not served as '{host.partition(':')[0]}'" in answer.json["text"]
     assert page.asked == []
+
+
+@pytest.mark.parametrize("host", ["robot.lab", "Robot.lab.:8800", "192.168.7.7:80"])
+def test_a_refused_name_is_let_in_as_the_refusal_advises(tmp_path: Path, host: str) -> None:
+    with served(tmp_path) as page:
+        text = page.get("/", Host=host).json["text"]
+    said = re.search(r"'(.+)'; .* add it to \[web\] names", text)
+    assert said
+    with served(tmp_path, names=(said[1],)) as page:
+        assert page.get("/", Host=host).status == 200
+
+
+def test_a_browser_asks_whether_what_it_keeps_is_still_right(page: Page) -> None:
+    for path in ("/", "/results", "/static/page.js", "/static/style.css"):
+        assert page.get(path).headers["Cache-Control"] == "no-cache", path
 
 
 def test_another_pages_request_is_refused(page: Page) -> None:
@@ -272,6 +295,43 @@ def token_of(page: Page) -> str:
     return page.place.rules.token
 
 
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "WRONG_S", 0.0)
+
+
+def test_not_many_tokens_can_be_tried(guarded: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "WRONG_S", 0.1)
+    form = {"Content_Type": "application/x-www-form-urlencoded"}
+    for path, headers in (("/api/request/reset", {"Authorization": "Bearer x"}), ("/login", form)):
+        began_s = time.monotonic()
+        assert guarded.post(path, "token=x", **headers).status in (401, 403)
+        assert time.monotonic() - began_s >= 0.1, path
+
+
+@pytest.mark.parametrize(
+    ("asked", "then"),
+    [
+        ("/results?a=b", "/results?a=b"),
+        ("//evil.example/", "/evil.example/"),
+        ("/\\evil.example", "/%5Cevil.example"),
+        ("https://evil.example", "/https://evil.example"),
+        ("/\t/evil.example", "/%09/evil.example"),
+    ],
+)
+def test_a_token_that_is_typed_in_leads_to_what_was_asked_for(
+    guarded: Page, asked: str, then: str
+) -> None:
+    login = f"/login?{urlencode({'then': asked})}"
+    form = {"Content_Type": "application/x-www-form-urlencoded"}
+    assert guarded.post(login, f"token={token_of(guarded)}", **form).headers["Location"] == then
+
+
+def test_a_page_that_is_asked_for_is_kept_in_mind(guarded: Page) -> None:
+    asked = guarded.get("/results?a=b&token=x", Accept="text/html").headers["Location"]
+    assert asked == "/login?then=%2Fresults%3Fa%3Db"
+
+
 def test_from_elsewhere_a_token_is_asked_for(guarded: Page) -> None:
     assert len(token_of(guarded)) >= 32
     for path in ("/api/state", "/api/stream", "/static/page.js", "/viewer/"):
@@ -288,11 +348,14 @@ def test_from_elsewhere_a_token_is_asked_for(guarded: Page) -> None:
 
 def test_a_browser_is_led_to_the_page_that_asks_for_it(guarded: Page) -> None:
     answer = guarded.get("/", Accept="text/html")
-    assert (answer.status, answer.headers["Location"]) == (303, "/login")
-    assert guarded.get("/login").status == 200
+    assert (answer.status, answer.headers["Location"]) == (303, "/login?then=%2F")
+    first = guarded.get("/login")
+    assert first.status == 200
+    assert b"alert" not in first.body
     assert guarded.get("/static/style.css").status == 200
     wrong = guarded.post("/login", "token=x", Content_Type="application/x-www-form-urlencoded")
     assert wrong.status == 403
+    assert b'<p role="alert" class="problem">That is not the token of this robot.</p>' in wrong.body
     assert "Set-Cookie" not in wrong.headers
     right = guarded.post(
         "/login", f"token={token_of(guarded)}", Content_Type="application/x-www-form-urlencoded"
@@ -477,6 +540,15 @@ def test_a_viewers_call_is_handed_on_without_our_token(page: Page) -> None:
 def test_a_viewer_may_only_read(page: Page) -> None:
     for call in (CALL.replace("ReadMessages", "WriteMessages"), "/rerun.cloud.v1/X/ReadX"):
         assert page.post(call, b"").status == 404
+
+
+def test_viz_that_does_not_answer_is_given_up(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(relay, "HEADERS_S", 0.1)
+    with socket.create_server(("127.0.0.1", 0)) as deaf:
+        page.viewer_url = f"rerun+http://127.0.0.1:{deaf.getsockname()[1]}/proxy"
+        answer = page.post(CALL, b"")
+    assert answer.status == 502
+    assert "does not answer within" in answer.json["text"]
 
 
 def test_no_stream_is_a_sentence(page: Page) -> None:

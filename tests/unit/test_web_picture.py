@@ -14,6 +14,7 @@ import dashboard.web
 from dashboard.web.picture import EVENTS, Picture
 from runtime import messages as m
 from runtime.hubs import Hub, address_file
+from runtime.limits import HOT, WARM
 from tests.unit.page_server import elbow
 
 NOW_S = 1000.0
@@ -51,10 +52,11 @@ def test_before_anybody_speaks_there_is_the_robot_file(picture: Picture) -> None
         {"name": "elbow", "rest_deg": 0.0, "low_deg": -5.0, "high_deg": 130.0}
     ]
     assert told["robot"]["tasks"] == [{"name": "sweep", "targets": 16}]
-    assert told["robot"]["spares"] == [{"name": "biceps_3", "chain": "arm"}]
+    assert [x["name"] for x in told["robot"]["muscles"]] == [*elbow().muscles, "biceps_3"]
+    assert {x["chain"] for x in told["robot"]["muscles"]} == {"arm"}
     assert told["robot"]["methods"] == list(m.METHODS)
     assert told["executive"]["stage"] == "waiting"
-    assert told["processes"] == {"supervised": False, "ready": False, "run_dir": "", "rows": []}
+    assert told["processes"] == {"supervised": False, "run_dir": "", "rows": []}
     assert told["readings"]["time_s"] is None
     assert told["events"] == {"events": []}
 
@@ -85,6 +87,7 @@ def test_chains_have_their_modules_in_order_with_gauges(picture: Picture) -> Non
     told = sections(picture)
     (chain,) = told["chains"]["chains"]
     assert told["chains"]["temperature_limit_degc"] == 80.0
+    assert (told["chains"]["warm"], told["chains"]["hot"]) == (WARM, HOT)
     assert (chain["chain"], chain["link"]) == ("arm", "simulated")
     assert [x["name"] for x in chain["modules"]] == ["triceps", "elbow"]
     assert chain["modules"][0]["serial"] == "00000abc"
@@ -94,6 +97,33 @@ def test_chains_have_their_modules_in_order_with_gauges(picture: Picture) -> Non
         "mode": "follow",
         "muscles": {"triceps": [20.0, 25.0], "biceps_1": [133.0, 61.3]},
     }
+
+
+def test_a_message_that_contradicts_itself_is_refused_and_harms_nothing(picture: Picture) -> None:
+    picture.receive(state(), NOW_S)
+    uneven = msgspec.structs.replace(state(), tension_n=(1.0,))
+    with pytest.raises(ValueError, match="'arm' tells of 2 muscles, 1 tensions and 2 temperatures"):
+        picture.receive(uneven, NOW_S)
+    assert sections(picture)["readings"]["chains"]["arm"]["muscles"]["triceps"] == [20.0, 25.0]
+
+
+def test_what_is_no_number_is_told_as_nothing(picture: Picture) -> None:
+    odd = msgspec.structs.replace(
+        state(), tension_n=(math.nan, 1.0), temperature_degc=(25.0, math.inf)
+    )
+    picture.receive(odd, NOW_S)
+    picture.receive(m.Clock(speed=1.0, real_time_factor=math.nan, incarnation=1), NOW_S)
+    health = m.Health(
+        process="viz", pid=7, tick_hz=math.nan, cpu_percent=math.nan, memory_mb=math.inf, dropped=0
+    )
+    picture.receive(health, NOW_S)
+    row = m.ProcessRow(process="viz", state="ready", pid=7)
+    picture.receive(m.GroupState(ready=True, run_dir="/run", processes=(row,)), NOW_S)
+    told = sections(picture)
+    felt = told["readings"]["chains"]["arm"]["muscles"]
+    assert felt == {"triceps": [None, 25.0], "biceps_1": [1.0, None]}
+    (process,) = told["processes"]["rows"]
+    assert (process["tick_hz"], process["cpu_percent"], process["memory_mb"]) == (None, None, None)
 
 
 def test_silence_is_told(picture: Picture) -> None:
@@ -148,7 +178,7 @@ def test_progress_of_a_task_and_of_relearning(picture: Picture) -> None:
     picture.receive(doing, NOW_S)
     picture.receive(m.TrainingProgress(job="j", stage="training", epoch=3, epochs=60), NOW_S)
     told = sections(picture)["executive"]
-    assert (told["growing"], told["step"], told["steps"]) == ("biceps_3", 7, 7)
+    assert (told["step"], told["steps"]) == (7, 7)
     assert told["training"] == {"epoch": 3, "epochs": 60}
     picture.receive(m.ExecutiveState(stage="adopt"), NOW_S)
     assert "training" not in sections(picture)["executive"]
@@ -259,8 +289,20 @@ def test_a_viewer_that_comes_back_is_another_one(picture: Picture) -> None:
             data={"url": f"rerun+http://127.0.0.1:{port}/proxy"},
         )
         picture.receive(event, NOW_S)
-        assert sections(picture)["robot"]["viewer"] == {"there": True, "number": number}
+        told = sections(picture)["robot"]["viewer"]
+        assert told == {"there": True, "number": number, "host": ""}
     assert picture.viewer_url == "rerun+http://127.0.0.1:2/proxy"
+
+
+def test_a_view_on_another_hosts_loopback_is_not_ours() -> None:
+    picture = Picture(elbow(), simulated=True, host="robot")
+    for host, there in (("workstation", False), ("robot", True)):
+        data = {"url": "rerun+http://127.0.0.1:1/proxy", "host": host}
+        event = m.Event(process="viz", level="info", kind="viewer", text="live view", data=data)
+        picture.receive(event, NOW_S)
+        assert bool(picture.viewer_url) is there
+        told = sections(picture)["robot"]["viewer"]
+        assert (told["there"], told["host"]) == (there, host)
 
 
 def test_the_robots_of_this_host(picture: Picture, tmp_path: Path) -> None:

@@ -71,12 +71,20 @@ def test_elsewhere_a_token_is_made_once_and_kept_to_oneself(tmp_path: Path) -> N
 
 
 def test_a_token_that_is_given_is_the_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(TOKEN_VARIABLE, "open sesame\n")
+    monkeypatch.setenv(TOKEN_VARIABLE, "open sesame, please\n")
     for address in ("0.0.0.0", "127.0.0.1"):
         given = place(tmp_path, address=address)
         given.socket.close()
-        assert given.rules.token == "open sesame"
+        assert given.rules.token == "open sesame, please"
     assert not (tmp_path / "state").exists()
+
+
+def test_a_token_that_can_be_guessed_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(TOKEN_VARIABLE, "sesame")
+    with pytest.raises(PlaceError, match="has 6 characters, 16 are needed; make one by: python3"):
+        place(tmp_path)
 
 
 def test_a_certificate_that_is_none_is_refused_in_words(tmp_path: Path) -> None:

@@ -2,8 +2,10 @@
 
 import { byId, el } from "./dom.js";
 
+export const BY_COMMAND = `myograft estop ${document.body.dataset.robot}`; // when this page cannot
 const SHOWN_MS = { good: 7000, bad: 20000 };
 const MOST = 4;
+let others = new AbortController(); // of all requests but a stop
 
 /** Put a request; its answer is shown. Gives {ok, text}. */
 export async function ask(name, message, title) {
@@ -12,17 +14,25 @@ export async function ask(name, message, title) {
   return answer;
 }
 
+/** A stop waits for no other request: a browser has few connections to one server. */
 async function put(name, message) {
+  const patience = AbortSignal.timeout(15000);
+  if (name === "estop") {
+    others.abort();
+    others = new AbortController();
+  }
+  const given = others.signal;
   let response;
   try {
     response = await fetch(`/api/request/${name}`, {
       method: "POST",
       headers: { "Content-Type": "application/json" },
       body: JSON.stringify(message),
-      signal: AbortSignal.timeout(15000),
+      signal: name === "estop" ? patience : AbortSignal.any([patience, given]),
     });
   } catch {
-    const advice = name === "estop" ? " Stop the robot by hand, or by: myograft estop" : "";
+    if (given.aborted && name !== "estop") return { ok: false, text: "Given up for the stop: perhaps it was done, perhaps not." };
+    const advice = name === "estop" ? ` Stop the robot by hand, or by: ${BY_COMMAND}` : "";
     return { ok: false, text: `NO ANSWER from the page's server: perhaps it was done, perhaps not.${advice}` };
   }
   try {

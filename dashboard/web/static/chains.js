@@ -3,10 +3,11 @@
 import { ask } from "./ask.js";
 import { breakable, byId, el, keyed, say, twice } from "./dom.js";
 
-const AMBER = 0.8; // of a limit
+const shares = { warm: 1, hot: 1 }; // of a limit: as the server tells it
 const HELD = new Map(); // module -> until when its LED blinks
 
-export function showChains({ chains, temperature_limit_degc }) {
+export function showChains({ chains, temperature_limit_degc, warm, hot }) {
+  Object.assign(shares, { warm, hot });
   keyed(byId("chains"), chains, (chain) => chain.chain, makeChain, (element, chain) => {
     keyed(element.querySelector("ol"), [null, ...chain.modules],
       (module) => (module ? `${module.serial}/${module.name}` : "master"),
@@ -41,7 +42,7 @@ function makeModule(chain, module, limit_degc) {
   if (module.kind === "muscle") {
     const unplug = el("button", { type: "button", class: "small asks unplug" }, "Unplug");
     unplug.setAttribute("aria-label", `Unplug ${name}`);
-    row.append(twice(unplug, "Unplug: sure?", () => ask("unplug", { muscle: module.name }, `Unplug ${name}`)));
+    row.append(twice(unplug, () => ask("unplug", { muscle: module.name }, `Unplug ${name}`)));
   }
   card.append(row);
   return el("li", { "data-muscle": name }, card);
@@ -69,15 +70,16 @@ function gauge(quantity, label) {
 function setGauge(item, quantity, value, limit, unit) {
   const place = item.querySelector(`.gauge.${quantity}`);
   if (!place) return;
-  const share = Math.min(1, Math.max(0, value / limit));
+  const now = Math.min(limit, Math.max(0, value ?? 0));
+  const share = now / limit;
   const meter = place.querySelector("[role=meter]");
   meter.setAttribute("aria-valuemax", limit);
-  meter.setAttribute("aria-valuenow", Math.min(limit, Math.max(0, value)));
-  meter.setAttribute("aria-valuetext", `${value} of ${limit} ${unit}`);
+  meter.setAttribute("aria-valuenow", now);
+  meter.setAttribute("aria-valuetext", value == null ? "no reading" : `${value} of ${limit} ${unit}`);
   const bar = meter.firstElementChild;
   bar.style.setProperty("--level", share);
-  bar.className = share >= 1 ? "bad" : share >= AMBER ? "amber" : "";
-  say(place.querySelector(".value"), `${value.toFixed(1)} of ${limit.toFixed(0)} ${unit}`);
+  bar.className = share > shares.hot ? "bad" : share > shares.warm ? "amber" : "";
+  say(place.querySelector(".value"), value == null ? "–" : `${value.toFixed(1)} of ${limit.toFixed(0)} ${unit}`);
 }
 
 export function showReadings(chains) {
@@ -89,15 +91,9 @@ export function showReadings(chains) {
     say(pill, words);
     pill.className = `pill ${["silent", "stopping", "stopped"].includes(words) ? "bad" : ""}`;
     for (const item of element.querySelectorAll("[data-muscle]")) {
-      const felt = chain.muscles[item.dataset.muscle];
-      if (!felt) {
-        for (const value of item.querySelectorAll(".value")) say(value, "–");
-        for (const bar of item.querySelectorAll("[role=meter] i")) bar.style.setProperty("--level", 0);
-        for (const meter of item.querySelectorAll("[role=meter]")) meter.setAttribute("aria-valuetext", "no reading");
-        continue;
-      }
-      setGauge(item, "tension", felt[0], Number(item.dataset.limitN), "N");
-      setGauge(item, "temperature", felt[1], Number(item.firstElementChild.dataset.limitDegc), "°C");
+      const [tension_n, temperature_degc] = chain.muscles[item.dataset.muscle] ?? [];
+      setGauge(item, "tension", tension_n, Number(item.dataset.limitN), "N");
+      setGauge(item, "temperature", temperature_degc, Number(item.firstElementChild.dataset.limitDegc), "°C");
     }
   }
 }

@@ -12,12 +12,11 @@ const METHODS = {
 let stopped = false;
 let running = "";
 let joints = [];
-let spares = [];
+let muscles = [];
+let simulated = true;
 const touched = new Set();
 
 export function setUp() {
-  byId("estop").addEventListener("click", stop);
-  document.addEventListener("keydown", onKey, true);
   byId("reset").addEventListener("click", () => ask("reset", {}, "Reset"));
   byId("reach").addEventListener("submit", reach);
   byId("as-it-is").addEventListener("click", () => touched.clear());
@@ -33,20 +32,11 @@ export function setUp() {
   });
 }
 
-/** Escape stops the arm, wherever the focus is. */
-export function onKey(event) {
-  if (event.key !== "Escape" || event.repeat) return;
-  event.preventDefault();
-  stop();
-}
-
-export function stop() {
-  ask("estop", { reason: "asked for on the web page" }, "Stop");
-}
-
 export function showRobot(robot) {
   joints = robot.joints;
-  spares = robot.spares;
+  muscles = robot.muscles;
+  simulated = robot.simulated;
+  document.body.classList.toggle("real", !simulated);
   const tasks = [...robot.tasks.map((task) => [task.name, `${task.name} (${task.targets})`]), ["park", "park"], ["hold", "hold"]];
   keyed(byId("tasks"), tasks, ([name]) => name,
     ([name]) => el("button", { type: "button", click: () => ask("task", { name }, `Task ${name}`) }),
@@ -80,14 +70,17 @@ export function showTask(name) {
   }
 }
 
+/** What can be plugged in: spares, and muscles that were taken off. On a real robot hands do it. */
 export function showSpares(chains) {
+  const heard = new Set(chains.filter((chain) => chain.modules.length).map((chain) => chain.chain));
   const plugged = new Set(chains.flatMap((chain) =>
     chain.modules.filter((module) => module.state !== "lost").map((module) => module.name)));
-  const free = spares.filter((spare) => !plugged.has(spare.name));
-  keyed(byId("spare"), free, (spare) => spare.name,
-    (spare) => el("option", { value: spare.name }, `${spare.name} on ${spare.chain}`), () => {});
+  const free = simulated ? muscles.filter((muscle) => heard.has(muscle.chain) && !plugged.has(muscle.name)) : [];
+  keyed(byId("spare"), free, (muscle) => muscle.name,
+    (muscle) => el("option", { value: muscle.name }, `${muscle.name} on ${muscle.chain}`), () => {});
   byId("plug").querySelector(".row").hidden = free.length === 0;
-  say(byId("plug-note"), free.length ? "" : spares.length ? "Every spare is plugged in." : "This robot has no spare.");
+  const none = simulated ? "Every muscle is plugged in." : "Plug and unplug modules by hand: the robot notices.";
+  say(byId("plug-note"), free.length ? "" : none);
 }
 
 function makeJoint(joint) {

@@ -47,24 +47,24 @@ export function keyed(parent, rows, key, make, update) {
   });
 }
 
-/** A button that has to be pressed twice, for what is not undone by pressing another. */
-export function twice(button, words, act) {
-  const first = button.textContent;
+/** A button with a label of its own that has to be pressed twice, for what is not undone by
+ *  pressing another. */
+export function twice(button, act) {
+  const text = button.textContent;
+  const name = button.getAttribute("aria-label");
   let timer = 0;
-  const calm = () => {
+  const ask = (sure) => {
     clearTimeout(timer);
-    button.classList.remove("sure");
-    button.textContent = first;
+    button.classList.toggle("sure", sure);
+    button.textContent = sure ? "Sure?" : text;
+    button.setAttribute("aria-label", sure ? `Sure? ${name}` : name);
+    say(byId("said"), sure ? `${name}? Press again to be sure.` : "");
   };
   button.addEventListener("click", () => {
-    if (button.classList.contains("sure")) {
-      calm();
-      act();
-      return;
-    }
-    button.classList.add("sure");
-    button.textContent = words;
-    timer = setTimeout(calm, 4000);
+    const sure = button.classList.contains("sure");
+    ask(!sure);
+    if (sure) act();
+    else timer = setTimeout(() => ask(false), 4000);
   });
   return button;
 }

@@ -1,51 +1,59 @@
-// The server's stream of sections, and whether it still comes.
+// The server's sections as they come, and whether they still do.
 
-const SILENT_MS = 3500;
+const SILENT_MS = 6000; // longer than the stream's own patience: then nobody is at the other end
 const HIDDEN_MS = 5000;
 
 /** Call take[section](data) for each section that comes, and lost(true | false) when that changes.
- *  A browser tries again by itself, but not after every error: so we do. It opens six connections
- *  to one server at most, all its pages together: one that nobody sees lets go of its own. */
+ *  A page that nobody sees lets go of the stream. */
 export function listen(take, lost) {
-  let source, heard, was, hiding;
+  let port;
+  const sections = [...Object.keys(take), "beat"];
+  let seen = false, heard, was, hiding;
   const tell = (now) => {
     if (now !== was) lost((was = now));
+    if (now) signIn();
   };
-  const close = () => {
-    source?.close();
-    source = null;
-  };
-  const open = () => {
-    close();
+  const look = (now) => {
+    seen = now;
     heard = performance.now();
-    const mine = (source = new EventSource("/api/stream"));
-    for (const name of [...Object.keys(take), "beat"]) {
-      mine.addEventListener(name, (event) => {
-        heard = performance.now();
-        tell(false);
-        take[name]?.(JSON.parse(event.data));
-      });
-    }
-    mine.addEventListener("error", () => {
-      tell(true);
-      if (mine.readyState === EventSource.CLOSED) setTimeout(signIn, 1000);
-    });
+    port.postMessage(now ? sections : []);
   };
-  const signIn = async () => {
-    // The server refuses us: perhaps it asks for its token now.
-    const response = await fetch("/api/state").catch(() => null);
-    if (response?.status === 401) location.assign("/login");
-    else if (source) open();
+  const hear = ({ data: [name, json] }) => {
+    if (!seen) return;
+    heard = performance.now();
+    tell(!name);
+    take[name]?.(JSON.parse(json));
+  };
+  const begin = () => {
+    port = connect();
+    port.onmessage = hear;
+    look(true);
   };
   setInterval(() => {
-    if (!source || performance.now() - heard < SILENT_MS) return;
+    if (!seen || performance.now() - heard < SILENT_MS) return;
     tell(true);
-    open();
+    look(false);
+    begin();
   }, 1000);
   document.addEventListener("visibilitychange", () => {
     clearTimeout(hiding);
-    if (document.hidden) hiding = setTimeout(close, HIDDEN_MS);
-    else if (!source) open();
+    if (document.hidden) hiding = setTimeout(() => look(false), HIDDEN_MS);
+    else if (!seen) look(true);
   });
-  open();
+  addEventListener("pagehide", () => look(false));
+  begin();
+}
+
+/** The stream that all pages share; one of our own where a browser has no shared workers. */
+function connect() {
+  if (globalThis.SharedWorker) return new SharedWorker("/static/stream.js", { type: "module" }).port;
+  const { port1, port2 } = new MessageChannel();
+  import("./stream.js").then(({ serve }) => serve(port2));
+  return port1;
+}
+
+/** Perhaps the server refuses us because it asks for its token now. */
+async function signIn() {
+  const response = await fetch("/api/state").catch(() => null);
+  if (response?.status === 401) location.reload(); // and be led there
 }

@@ -1,6 +1,6 @@
 // The robot's page: sections of the server's stream into the document.
 
-import { ask } from "./ask.js";
+import { ask, BY_COMMAND } from "./ask.js";
 import { showBlinking, showChains, showReadings } from "./chains.js";
 import * as controls from "./controls.js";
 import { byId, el, keyed, say, twice } from "./dom.js";
@@ -13,11 +13,10 @@ let supervised = true;
 let serverLost = true;
 let wasLost = false;
 let modes = {};
+let run = ""; // of the robot, where it is recorded
 
 const take = {
   robot(robot) {
-    say(byId("robot"), robot.name);
-    document.title = `${robot.name} - myograft`;
     controls.showRobot(robot);
     view.showViewer(robot.viewer);
   },
@@ -31,6 +30,8 @@ const take = {
       });
   },
   processes(table) {
+    if (run && table.run_dir && table.run_dir !== run) location.reload(); // what stands here is another robot's
+    run ||= table.run_dir;
     supervised = table.supervised;
     showProcesses(table);
     alarm();
@@ -45,7 +46,7 @@ const take = {
     controls.showAngles(now.joints);
     controls.showStopped(Object.values(modes).some((mode) => ["stopping", "stopped"].includes(mode)));
     showBlinking(events, now.time_s ?? 0);
-    say(byId("clock"), now.time_s == null ? "" : `${now.time_s.toFixed(1)} s · ${now.real_time_factor} × real time`);
+    say(byId("clock"), now.time_s == null ? "" : `${now.time_s.toFixed(1)} s · ${now.real_time_factor ?? "–"} × real time`);
     alarm();
   },
   executive: showDoing,
@@ -106,7 +107,7 @@ function showVersions({ rows }) {
     (row) => {
       const back = el("button", { type: "button", class: "small asks" }, "Roll back");
       back.setAttribute("aria-label", `Roll back to version ${row.version}`);
-      twice(back, "Sure?", () => ask("schema", { action: "rollback", version: row.version }, `Version ${row.version}`));
+      twice(back, () => ask("schema", { action: "rollback", version: row.version }, `Version ${row.version}`));
       return el("tr", {}, el("th", { scope: "row" }, String(row.version)), ...Array.from({ length: 5 }, () => el("td")), el("td", {}, back));
     },
     (line, row) => {
@@ -125,7 +126,7 @@ function showVersions({ rows }) {
 function alarm() {
   const named = (mode) => Object.keys(modes).filter((name) => modes[name] === mode).join(", ");
   const all = [
-    serverLost && ["bad", "The page's server does not answer. What stands here is old; trying again. To stop the robot: myograft estop"],
+    serverLost && ["bad", `The page's server does not answer. What stands here is old; trying again. To stop the robot: ${BY_COMMAND}`],
     !serverLost && !supervised && ["bad", "The robot is not running any more, or its supervisor has fallen silent. What stands here is old."],
     named("stopping") && ["bad", `Stopping: the wires of chain ${named("stopping")} pay out.`],
     named("stopped") && ["bad", `Stopped and latched: all wires of chain ${named("stopped")} are slack. Reset lets the arm hold where it is.`],

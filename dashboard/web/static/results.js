@@ -4,7 +4,7 @@ import { byId, el, say } from "./dom.js";
 
 async function get(address) {
   const response = await fetch(address);
-  if (response.status === 401) location.assign("/login");
+  if (response.status === 401) location.reload(); // and be led to where the token is asked for
   const body = await response.json();
   if (!response.ok) throw new Error(body.text);
   return body;

@@ -1,8 +1,8 @@
 // Rerun's own viewer beside the controls. It does not find its stream again after viz or the
 // page's server was restarted, so its frame is made anew then.
 
-import { onKey } from "./controls.js";
 import { byId, el, say } from "./dom.js";
+import { onKey } from "./stop.js";
 
 const KEPT = "myograft.view";
 const WIDE_PX = 960;
@@ -10,15 +10,22 @@ const HIDDEN_MS = 60000; // after which a page that nobody sees lets go of the v
 let viewer = null; // {there, number} as the server tells it
 let wanted = null; // true | false: a person's word
 let shown = ""; // what the frame is showing
+let elsewhere = false; // another page of this browser has the view: each would keep a connection
+const pages = new BroadcastChannel("myograft.view");
 let away = false; // nobody has seen this page for a while
 
 export function setUp() {
   wanted = { show: true, hide: false }[localStorage.getItem(KEPT)] ?? null;
   byId("view-toggle").addEventListener("click", () => {
     wanted = !isOpen();
+    elsewhere = false;
     localStorage.setItem(KEPT, wanted ? "show" : "hide");
     draw();
   });
+  pages.onmessage = () => {
+    elsewhere = true;
+    draw();
+  };
   let hiding = 0;
   document.addEventListener("visibilitychange", () => {
     clearTimeout(hiding);
@@ -43,7 +50,7 @@ export function again() {
   draw();
 }
 
-const isOpen = () => Boolean(viewer?.there) && !away && (wanted ?? (window.innerWidth >= WIDE_PX && hasGraphics()));
+const isOpen = () => Boolean(viewer?.there) && !away && !elsewhere && (wanted ?? (window.innerWidth >= WIDE_PX && hasGraphics()));
 
 function draw() {
   const open = isOpen();
@@ -55,15 +62,21 @@ function draw() {
   const what = open ? String(viewer.number) : "";
   if (what !== shown) {
     byId("view").querySelector("iframe")?.remove();
-    if (open) byId("view").append(frame());
+    if (open) {
+      byId("view").append(frame());
+      pages.postMessage("opened");
+    }
     shown = what;
   }
   byId("view-note").hidden = open;
+  byId("view-keys").hidden = !open;
   say(byId("view-note"), note());
 }
 
 function note() {
+  if (viewer?.number && !viewer.there) return `The picture is drawn on ${viewer.host}, for that host alone: open it there by myograft view.`;
   if (!viewer?.there) return "The process viz has not said yet where its picture is.";
+  if (elsewhere) return "Another window of this browser has the view. Show brings it here.";
   if (wanted === false) return "Hidden. Plots, lanes and the moving body are one press away.";
   return hasGraphics()
     ? "Show plots, lanes and the moving body: the viewer is loaded once, 43 MB."
@@ -75,9 +88,18 @@ function frame() {
   const stream = `rerun+${location.protocol}//${location.hostname}:${port}/proxy`;
   const theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
   const query = new URLSearchParams({ url: stream, hide_welcome_screen: "", persist: "false", theme });
-  const iframe = el("iframe", { src: `/viewer/?${query}`, title: "Live view by Rerun", allow: "fullscreen" });
-  iframe.addEventListener("load", () => iframe.contentWindow.addEventListener("keydown", onKey, true));
+  // Not reached by Tab, which the viewer would keep to itself.
+  const iframe = el("iframe", { src: `/viewer/?${query}`, title: "Live view by Rerun", allow: "fullscreen", tabindex: "-1" });
+  iframe.addEventListener("load", () => iframe.contentWindow.addEventListener("keydown", onFrameKey, true));
   return iframe;
+}
+
+/** Escape stops the arm from inside the viewer, too; F6 is the way out of it. */
+function onFrameKey(event) {
+  onKey(event);
+  if (event.key !== "F6") return;
+  event.preventDefault();
+  byId("controls-title").focus();
 }
 
 let graphics = null;
