@@ -28,6 +28,7 @@ ESTIMATES = ("estimate-elbow", "estimate-arm")
 MEASURES = {
     **{name: module.MEASURES for name, module in EXPERIMENTS.items()},
     "elbow-variants": elbow.MEASURES[:2],
+    "arm-variants": arm.MEASURES[:2],
     **{f"ablate-{name}": ablation.measures for name, ablation in ABLATIONS.items()},
 }
 

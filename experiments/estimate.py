@@ -142,7 +142,8 @@ def _tell(
         print("\nwritten:", at.with_suffix(".md"), *files, sep="\n  ")
     if args.json:
         args.json.parent.mkdir(parents=True, exist_ok=True)
-        args.json.write_text(json.dumps({"runs": runs, "failed": failed}, indent=1) + "\n")
+        told = {"markdown": findings.markdown(runs), "runs": runs, "failed": failed}
+        args.json.write_text(json.dumps(told, indent=1) + "\n")
     for line in failed:
         print(f"failed: {line}")
     return 1 if failed else 0

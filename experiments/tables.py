@@ -164,9 +164,9 @@ def document(
     """Everything, for `--json`: settings, means, orderings, every single run, what it all took.
 
     What is not a number (the spread of one seed, its interval) is null. Curves are kept of the
-    first seed alone.
+    first seed that has them.
     """
-    first = min((run["seed"] for run in runs), default=0)
+    first = min((run["seed"] for run in runs if "curves" in run), default=0)
     for run in runs:
         if run["seed"] != first:
             run.pop("curves", None)
@@ -187,6 +187,7 @@ def document(
     ]
     return {
         "fingerprint": dict(fingerprint),
+        "titles": {measure.figure: measure.title for measure in measures},
         "means": told,
         "orderings": ordered,
         "failed": dict(failed),

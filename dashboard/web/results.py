@@ -117,8 +117,14 @@ def _markdown(text: str) -> Iterator[Table]:
 
 
 def _document(document: Mapping[str, Any]) -> Iterator[Table]:
-    """Means and spreads: a table for each figure, variant and control; methods over motions."""
-    means = document["means"]
+    """Means and spreads: a table for each figure, variant and control; methods over motions.
+
+    A document of another kind brings its tables as Markdown.
+    """
+    if "markdown" in document:
+        yield from _markdown(document["markdown"])
+        return
+    means, titles = document["means"], document.get("titles", {})
     keys = [(row["figure"], row["variant"], row["control"]) for row in means]
     for key in dict.fromkeys(keys):
         cells = {
@@ -130,7 +136,7 @@ def _document(document: Mapping[str, Any]) -> Iterator[Table]:
         methods = dict.fromkeys(method for method, _ in cells)
         figure, variant, control = key
         yield {
-            "title": f"{_titled(figure)} · {variant} · control {control}",
+            "title": f"{_titled(figure, titles)} · {variant} · control {control}",
             "head": ["method", *(f"N={n}" if n else "any N" for n in counts)],
             "rows": [[m, *(_cell(cells.get((m, n))) for n in counts)] for m in methods],
         }
@@ -146,25 +152,9 @@ def _document(document: Mapping[str, Any]) -> Iterator[Table]:
 _ORDERING = ("claim", "figure", "variant", "control", "n_new", "verdict")
 
 
-_NAMES = {  # as experiments' own tables write them
-    "e_theta_rad": "E_theta [rad]",
-    "e_f": "E_f",
-    "r_f": "R_f",
-    "sigma_f_n": "sigma_f [N]",
-    "f4_max_n": "f4max [N]",
-    "old_length_mm": "length error, old muscles [mm]",
-    "new_length_mm": "length error, new muscle [mm]",
-    "collect_peak_n": "greatest tension while collecting [N]",
-    "taut_percent": "samples with every wire taut [%]",
-    "peak_n": "peak [N]",
-    "share_sd_n": "spread at the peak [N]",
-    "learn": "relearning, processor time [s]",
-}
-
-
-def _titled(figure: str) -> str:
-    if figure in _NAMES:
-        return _NAMES[figure]
+def _titled(figure: str, titles: Mapping[str, str]) -> str:
+    if figure in titles:
+        return titles[figure]
     for suffix, unit in _UNITS.items():
         if figure.endswith(suffix):
             return f"{figure.removesuffix(suffix).replace('_', ' ')} [{unit}]"

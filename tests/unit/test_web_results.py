@@ -51,7 +51,8 @@ def folder(tmp_path: Path) -> Path:
         "n_new": 5,
         "verdict": "a < b",
     }
-    document = {"means": rows, "orderings": [order, {**order, "claim": ""}]}
+    titles = {"e_theta_rad": "E_theta [rad]"}
+    document = {"titles": titles, "means": rows, "orderings": [order, {**order, "claim": ""}]}
     (tmp_path / "elbow.json").write_text(json.dumps(document))
     (tmp_path / "elbow-paper.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'/>")
     (tmp_path / "elbow-b.json").write_text(json.dumps(document))
@@ -92,7 +93,9 @@ def test_what_cannot_be_read_is_said(folder: Path) -> None:
 
 def test_the_documents_of_this_repository_are_read() -> None:
     found = find(folders_of(elbow()))
-    for name in ("elbow", "arm", "lift"):
+    documents = {file.stem for file in (Path("docs") / "results").glob("*.json")}
+    assert documents >= {"elbow", "arm", "lift", "estimate-elbow", "ablate-elbow"}
+    for name in documents:
         told = read(found[name])
         assert told["tables"], told
         assert all(len(row) == len(x["head"]) for x in told["tables"] for row in x["rows"])
