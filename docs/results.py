@@ -16,12 +16,19 @@ from experiments import arm, elbow, estimate_findings, lift
 from experiments.ablate import ABLATIONS
 from experiments.against import against_tables
 from experiments.plots import draw_curves, draw_over_n
-from experiments.statistics import by_seed
+from experiments.statistics import BASELINES, Cell, by_seed, spread
 from experiments.tables import by_control, markdown_table, ordering_lines, work_told
 
 HERE = Path(__file__).parent
 PAGE = HERE / "science.md"
 README = HERE.parent / "README.md"
+SUMMARY = (  # experiment, figure, variant, control, N_new, words
+    ("elbow", "e_theta_rad", "clean", "converged", 3, "elbow"),
+    ("elbow", "sigma_f_n", "clean", "converged", 3, "elbow"),
+    ("arm", "e_theta_rad", "model", "converged", 5, "five-joint arm, from a drawing 20 mm off"),
+    ("arm", "e_theta_rad", "model", "converged", 30, "the same"),
+    ("lift", "peak_n", "model", "peak", 17, "dumbbell lifted, from such a drawing"),
+)
 DEMOS = ("demo", "lift")  # of docs/pictures: NAME.png, NAME.json
 EXPERIMENTS = {"elbow": elbow, "arm": arm, "lift": lift}
 ESTIMATES = ("estimate-elbow", "estimate-arm")
@@ -78,14 +85,40 @@ def with_results(page: str) -> str:
     return page
 
 
-def with_demos(page: str) -> str:
-    """The page with what demos said between their markers; one that was not run is left."""
+def with_findings(page: str) -> str:
+    """The page with the summary, and with what demos said; one that was not run is left."""
     for name in DEMOS:
         told = HERE / "pictures" / f"{name}.json"
         if told.exists():
             lines = json.loads(told.read_text(encoding="utf-8"))["report"]
             page = _between(f"{name} output", page, "\n".join(["```", *lines, "```"]))
-    return page
+    return _between("results", page, summary())
+
+
+def summary() -> str:
+    """What the README shows of the experiments: one row a figure, mean and spread over seeds."""
+    methods = ("before", "(i)", "(ii)", "(iii)", "(iv)", "(iv) network", "oracle")
+    rows = [["", *methods, "paper's (iii)"], ["---", *["---:" for _ in methods], "---:"]]
+    for name, figure, variant, control, n_new, words in SUMMARY:
+        (measure,) = (m for m in MEASURES[name] if m.figure == figure)
+        cells = by_seed(_runs(name), figure)
+        told = [
+            cells.get(Cell(variant, control, method, 0 if method in BASELINES else n_new), {})
+            for method in methods
+        ]
+        means = [spread(seeds.values()) for seeds in told]
+        papers = measure.paper.get(("(iii)", n_new))
+        rows.append(
+            [
+                f"{words}: {measure.title}, N={n_new}",
+                *(
+                    f"{m.mean:.{measure.digits}f} ± {m.sd:.{measure.digits}f}" if m.seeds else ""
+                    for m in means
+                ),
+                "" if papers is None else f"{papers:g}",
+            ]
+        )
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def _between(name: str, page: str, text: str) -> str:
@@ -140,7 +173,7 @@ def _document(name: str) -> dict[str, Any]:
 
 if __name__ == "__main__":
     PAGE.write_text(with_results(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
-    README.write_text(with_demos(README.read_text(encoding="utf-8")), encoding="utf-8")
+    README.write_text(with_findings(README.read_text(encoding="utf-8")), encoding="utf-8")
     for experiment in EXPERIMENTS:
         if results(experiment).exists():
             draw(experiment)

@@ -39,7 +39,8 @@ def declared(process: str) -> str:
         return _declared()[kind]
     except KeyError:
         raise LookupError(
-            f"no process is called {kind!r} in the entry points {ENTRY_POINTS}"
+            f"no process is called {kind!r} in the entry points {ENTRY_POINTS}: "
+            "install the package that declares it anew"
         ) from None
 
 

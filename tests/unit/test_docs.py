@@ -111,17 +111,21 @@ def test_every_picture_is_made_by_a_command() -> None:
     assert named - {f"{name}.json" for name in results.DEMOS} <= kept
 
 
-def test_the_readme_shows_what_demos_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_readme_shows_what_experiments_and_demos_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     page = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert results.with_demos(page) == page, "run `python -m docs.results`"
+    assert results.with_findings(page) == page, "run `python -m docs.results`"
     (tmp_path / "pictures").mkdir()
     for name in results.DEMOS:
         told = json.dumps({"report": [f"what {name} said", "in two lines"]})
         (tmp_path / "pictures" / f"{name}.json").write_text(told)
     monkeypatch.setattr(results, "HERE", tmp_path)
-    again = results.with_demos(page)
+    monkeypatch.setattr(results, "summary", lambda: "| a table |")
+    again = results.with_findings(page)
     for name in results.DEMOS:
         assert f"<!-- {name} output -->\n```\nwhat {name} said\nin two lines\n```\n<!-- /" in again
+    assert "<!-- results -->\n| a table |\n<!-- /results -->" in again
     assert len(again) < len(page)
 
 
