@@ -31,6 +31,7 @@ SUMMARY = (  # experiment, figure, variant, control, N_new, words
 )
 DEMOS = ("demo", "lift")  # of docs/pictures: NAME.png, NAME.json
 EXPERIMENTS = {"elbow": elbow, "arm": arm, "lift": lift}
+PLACES = ("recording", "summary_png")
 ESTIMATES = ("estimate-elbow", "estimate-arm")
 MEASURES = {
     **{name: module.MEASURES for name, module in EXPERIMENTS.items()},
@@ -171,7 +172,18 @@ def _document(name: str) -> dict[str, Any]:
     return dict(json.loads(results(name).read_text(encoding="utf-8")))
 
 
+def forget_places() -> None:
+    """Leave out of what demos wrote where on some machine their recordings are."""
+    for name in DEMOS:
+        told = HERE / "pictures" / f"{name}.json"
+        if told.exists():
+            document = json.loads(told.read_text(encoding="utf-8"))
+            kept = {key: x for key, x in document.items() if key not in PLACES}
+            told.write_text(json.dumps(kept, indent=2) + "\n", encoding="utf-8")
+
+
 if __name__ == "__main__":
+    forget_places()
     PAGE.write_text(with_results(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     README.write_text(with_findings(README.read_text(encoding="utf-8")), encoding="utf-8")
     for experiment in EXPERIMENTS:

@@ -111,6 +111,13 @@ def test_every_picture_is_made_by_a_command() -> None:
     assert named - {f"{name}.json" for name in results.DEMOS} <= kept
 
 
+def test_what_demos_wrote_names_no_place_on_a_machine() -> None:
+    for name in results.DEMOS:
+        told = json.loads((ROOT / "docs" / "pictures" / f"{name}.json").read_text())
+        assert told["report"] and not {*told} & {*results.PLACES}
+        assert " /" not in "".join(told["report"])
+
+
 def test_the_readme_shows_what_experiments_and_demos_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

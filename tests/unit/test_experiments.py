@@ -14,6 +14,7 @@ import pytest
 from experiments import learn
 from experiments.collect import SAMPLE_EVERY_MS, _hand, collect_old
 from experiments.score import SweepScorer
+from runtime.cli.main import UsageError
 from runtime.messages import ExecutiveState, WorldTruth
 from runtime.settings import RobotSettings, TaskPath, load_robot
 from services.body_schema import train
@@ -193,13 +194,26 @@ def test_every_tenth_taut_sample_is_held_out() -> None:
     assert held[0] and not held[1:10].any()
 
 
-def test_a_robot_without_a_schema_file_needs_an_out(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_robot_without_a_schema_file_needs_an_out(monkeypatch: pytest.MonkeyPatch) -> None:
     def nameless(name: str) -> RobotSettings:
         robot = msgspec.structs.replace(SETTINGS.robot, schema="")
         return msgspec.structs.replace(SETTINGS, robot=robot)
 
     monkeypatch.setattr(learn, "load_robot", nameless)
-    assert learn.run(options(None)) == 2
-    assert "names no schema; give --out FILE" in capsys.readouterr().out
+    with pytest.raises(UsageError, match="names no schema; give --out FILE"):
+        learn.run(options(None))
+
+
+@pytest.mark.parametrize(
+    "words", [("--seconds", "-5"), ("--drawing-off-mm", "-1"), ("--refine-motions", "-1")]
+)
+def test_words_of_learn_that_make_no_sense(words: tuple[str, str]) -> None:
+    parser = argparse.ArgumentParser()
+    learn.configure(parser)
+    with pytest.raises(UsageError, match=f"{words[0]} {words[1]}: give"):
+        learn.run(parser.parse_args(["elbow", *words]))
+
+
+def test_what_a_drawing_taught_stands_beside_the_robots_own() -> None:
+    file = Path("schemas") / "arm.safetensors"
+    assert learn.of_drawing(file) == Path("schemas") / "arm_model.safetensors"

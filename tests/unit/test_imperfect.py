@@ -11,7 +11,7 @@ from experiments.imperfect import (
     SAMPLES,
     STRONGEST_N,
     _samples,
-    drawn_wires,
+    displaced_wires,
     refine_drawn,
 )
 from experiments.rig import shipped_schema
@@ -34,7 +34,7 @@ def drawn(settings: RobotSettings) -> Wiring:
 @pytest.mark.parametrize("settings", ROBOTS, ids=lambda s: s.name)
 @pytest.mark.parametrize("error_m", [0.0, 0.02])
 def test_every_site_is_exactly_so_far_off(settings: RobotSettings, error_m: float) -> None:
-    wires = drawn_wires(settings, error_m, seed=3).wires
+    wires = displaced_wires(settings, error_m, seed=3).wires
     assert wires.muscles == settings.muscles
     away = wires.sites_m - drawn(settings).sites_m
     np.testing.assert_allclose(np.linalg.norm(away, axis=1), error_m, atol=1e-12)
@@ -43,7 +43,7 @@ def test_every_site_is_exactly_so_far_off(settings: RobotSettings, error_m: floa
 
 
 def test_a_seed_is_one_drawing() -> None:
-    one, same, other = (drawn_wires(ROBOTS[0], 0.02, seed).wires.sites_m for seed in (1, 1, 2))
+    one, same, other = (displaced_wires(ROBOTS[0], 0.02, seed).wires.sites_m for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, same)
     assert (np.linalg.norm(one - other, axis=1) > 1e-3).all()
 
@@ -51,13 +51,13 @@ def test_a_seed_is_one_drawing() -> None:
 @pytest.mark.parametrize("settings", ROBOTS, ids=lambda s: s.name)
 def test_lengths_are_zero_at_rest_whatever_the_error(settings: RobotSettings) -> None:
     rest = np.radians([joint.rest_deg for joint in settings.joint])
-    model = drawn_wires(settings, 0.02, seed=0)
+    model = displaced_wires(settings, 0.02, seed=0)
     at_rest = model.lengths(rest, np.full(len(model.muscles), REST_N))
     np.testing.assert_allclose(at_rest, 0.0, atol=1e-12)
 
 
 def test_elements_give_as_their_data_sheet_says() -> None:
-    model = drawn_wires(ROBOTS[0], 0.0, seed=0)
+    model = displaced_wires(ROBOTS[0], 0.0, seed=0)
     f = np.linspace(SLACK_N, STRONGEST_N, 50)
     sheet = [elastic_stretch_m(x, ROBOTS[0].simulation.elastic_n_m) for x in f.tolist()]
     for weights in model.wires.stretch_m:
@@ -78,7 +78,7 @@ def test_samples_are_all_over_the_joints_ranges_and_never_slack() -> None:
 def test_a_little_motion_refines_what_the_drawing_said() -> None:
     growth = msgspec.structs.replace(ROBOTS[0].growth, n_check=1)
     settings = msgspec.structs.replace(ROBOTS[0], growth=growth)
-    drawing = drawn_wires(settings, 0.02, seed=0)
+    drawing = displaced_wires(settings, 0.02, seed=0)
     shipped = Schema.from_bytes(shipped_schema(settings) or b"")
     refined, collected = refine_drawn(settings, shipped.with_wires(drawing.wires), 1, quick=True)
     assert (len(collected.new), len(collected.check)) == (1, 1)
