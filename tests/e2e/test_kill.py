@@ -27,7 +27,7 @@ STEPS_LEFT = 12  # of the sweep, when a process is killed: half a minute
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
     folder = tmp_path_factory.mktemp("killed")
-    with running(elbow(folder, "killed", steps=24), folder) as robot:
+    with running(elbow(folder, "killed", steps=21), folder) as robot:
         yield robot
 
 

@@ -35,7 +35,7 @@ from runtime.messages import (
     Task,
     TrainingProgress,
 )
-from runtime.settings import ROBOTS, RobotSettings, load_robot
+from runtime.settings import RobotSettings, load_robot
 from runtime.supervisor import Group
 from tests.started import started
 
@@ -355,20 +355,6 @@ def test_who_wants_little_is_not_sent_much() -> None:
         # Neither is sent so that it must arrive: on a busy machine one may be lost.
         assert min(all_["TrainingProgress"], few["TrainingProgress"], all_["ExecutiveState"]) > 90
         assert 3 <= few["ExecutiveState"] <= 10 * took_s + 2
-
-
-def test_split_over_hosts_by_a_router() -> None:
-    endpoint = free_endpoint()
-    config = zenoh.Config.from_file(ROBOTS.parent / "zenoh" / "router.json5")
-    config.insert_json5("listen/endpoints", f'["{endpoint}"]')
-    robot = settings("split")
-    with (
-        zenoh.open(config),
-        listening_at(endpoint, "split", TrainingProgress) as ear,
-        Group(robot, processes=(COUNTER,), connect=(endpoint,)) as group,
-    ):
-        assert group.wait_ready(PATIENCE_S)
-        ear.wait_for(lambda m: isinstance(m, TrainingProgress))
 
 
 def test_a_process_is_said_to_be_ready_before_it_counts_as_ready() -> None:
