@@ -72,35 +72,43 @@ def one_unit(
 
 
 class Peak:
-    """Watches the tensions of one role's muscles, over the whole task.
-
-    Attributes:
-        tension_n: of all, when one of them was at its greatest.
-        curves: of each muscle the greatest in each quarter of a second [N], beside `time_s`.
-    """
+    """Watches the tensions of one role's muscles, over the whole task."""
 
     def __init__(self, muscles: tuple[str, ...]) -> None:
-        self.tension_n = np.zeros(len(muscles))
-        self.curves: Curves = {name: [] for name in ("time_s", *muscles)}
+        self.tension_n = np.zeros(len(muscles))  # of all, when one of them was at its greatest
         self._muscles = muscles
-        self._begin_ns = -1
 
     def see(self, message: Message) -> None:
         """Take in what was true."""
         if not isinstance(message, WorldTruth):
             return
         there = dict(zip(message.muscles, message.tension_n, strict=True))
-        tension = np.array([there.get(name, 0.0) for name in self._muscles])
+        tension = np.array([there[name] for name in self._muscles if name in there])
         if tension.max() > self.tension_n.max():
-            self.tension_n = tension[[name in there for name in self._muscles]]
+            self.tension_n = tension
+
+
+class Trace:
+    """Keeps what some muscles pulled with: the greatest in each quarter of a second [N]."""
+
+    def __init__(self, muscles: tuple[str, ...]) -> None:
+        self.curves: Curves = {name: [] for name in ("time_s", *muscles)}
+        self._muscles = muscles
+        self._begin_ns = -1
+
+    def see(self, message: Message) -> None:
+        """Take in what was true; a muscle that is not there pulls with nothing."""
+        if not isinstance(message, WorldTruth):
+            return
         self._begin_ns = message.stamp_ns if self._begin_ns < 0 else self._begin_ns
-        slot = (message.stamp_ns - self._begin_ns) // CURVE_NS
-        if slot == len(self.curves["time_s"]):
-            self.curves["time_s"].append(slot * CURVE_NS * 1e-9)
+        time_s = self.curves["time_s"]
+        while len(time_s) * CURVE_NS <= message.stamp_ns - self._begin_ns:
+            time_s.append(len(time_s) * CURVE_NS * 1e-9)
             for name in self._muscles:
                 self.curves[name].append(0.0)
-        for name, newton in zip(self._muscles, tension.round(1).tolist(), strict=True):
-            self.curves[name][-1] = max(self.curves[name][-1], newton)
+        for name, tension_n in zip(message.muscles, message.tension_n, strict=True):
+            if name in self._muscles:
+                self.curves[name][-1] = max(self.curves[name][-1], round(tension_n, 1))
 
 
 def carriers(settings: RobotSettings) -> tuple[str, ...]:
@@ -111,9 +119,9 @@ def carriers(settings: RobotSettings) -> tuple[str, ...]:
 
 def watch(rig: Rig) -> Callable[[], Curves]:
     """Keep the carrying muscles' tensions."""
-    peak = Peak(carriers(rig.settings))
-    rig.watchers.append(peak.see)
-    return lambda: peak.curves
+    trace = Trace(carriers(rig.settings))
+    rig.watchers.append(trace.see)
+    return lambda: trace.curves
 
 
 def score(rig: Rig) -> dict[str, float]:

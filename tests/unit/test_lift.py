@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from experiments.lift import Peak, cut_table
+from experiments.lift import Peak, Trace, cut_table
 from experiments.statistics import Run
 from runtime.messages import WorldTruth
 
@@ -33,15 +33,26 @@ def test_the_peak_is_of_all_at_the_moment_when_one_was_at_its_greatest() -> None
 
 
 def test_a_muscle_that_is_not_there_yet_shares_nothing_and_its_curve_is_flat() -> None:
-    peak = Peak(MUSCLES)
+    peak, trace = Peak(MUSCLES), Trace(MUSCLES)
     for k in range(6):
         peak.see(truth(5.0 + 0.1 * k, two=10.0 * k, one=7.0))
+        trace.see(truth(5.0 + 0.1 * k, two=10.0 * k, one=7.0, other=99.0))
     assert peak.tension_n.tolist() == [7.0, 50.0]
-    assert peak.curves == {
+    assert trace.curves == {
         "time_s": [0.0, 0.25, 0.5],
         "one": [7.0, 7.0, 7.0],
         "two": [20.0, 40.0, 50.0],
         "added": [0.0, 0.0, 0.0],
+    }
+
+
+def test_a_curve_goes_on_after_a_gap() -> None:
+    trace = Trace(("one",))
+    for time_s in (1.0, 1.8, 2.0):
+        trace.see(truth(time_s, one=time_s))
+    assert trace.curves == {
+        "time_s": [0.0, 0.25, 0.5, 0.75, 1.0],
+        "one": [1.0, 0.0, 0.0, 1.8, 2.0],
     }
 
 
