@@ -278,8 +278,8 @@ class Bus:
         try:
             with zenoh.open(_config(session_settings(self._where, LOOPBACK, ()))):
                 pass
-        except zenoh.ZError:
-            log.exception("could not call the peers together at %s", self._where)
+        except zenoh.ZError as error:
+            log.warning("could not call the peers together at %s: %s", self._where, error)
 
     def alive(self, timeout_s: float = 1.0) -> list[str]:
         """The processes whose tokens stand now, sorted."""

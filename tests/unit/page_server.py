@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
+import pytest
 
 from dashboard.web.app import make_app
 from dashboard.web.feed import Feed
@@ -115,3 +116,23 @@ def served(folder: Path, *, folders: tuple[Path, ...] = (), **web: Any) -> Itera
 
 def elbow(**web: Any) -> RobotSettings:
     return msgspec.structs.replace(load_robot("elbow"), web=Web(**{"port": 18_800, **web}))
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp("page")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def shared(home: Path) -> Iterator[Page]:
+    with served(home) as page:
+        yield page
+
+
+@pytest.fixture
+def page(shared: Page) -> Page:
+    shared.asked.clear()
+    shared.answer = lambda message: [Reply(ok=True, text="so", data={"process": "executive"})]
+    shared.viewer_url = ""
+    return shared
