@@ -152,9 +152,7 @@ def draw(name: str) -> list[Path]:
     module = EXPERIMENTS[name]
     runs, files = _runs(name), []
     if _curved(name):
-        files += draw_curves(
-            HERE / "pictures" / f"{name}-curves", runs, title=f"{name}, the first seed"
-        )
+        files += draw_curves(HERE / "pictures" / f"{name}-curves", runs, title=name)
     for control in _controls(name):
         some = [run for run in runs if run["control"] == control]
         measures = [m for m in module.MEASURES if m.drawn and by_seed(some, m.figure)]

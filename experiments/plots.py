@@ -120,13 +120,13 @@ def draw_variants(
     return save(path, size, f"{title}, $N_{{new}}$ = {shown}" if title else "", draw)
 
 
-def draw_curves(path: Path, runs: Sequence[Run], *, title: str = "") -> list[Path]:
+def draw_curves(path: Path, runs: Sequence[Run], *, title: str) -> list[Path]:
     """Tensions over time: a column for each method, a row for each variant and control.
 
     Args:
         path: of the files, without their endings.
         runs: of one experiment; those of the first seed with `curves` are drawn.
-        title: one line above all.
+        title: one line above all; the seed is added.
 
     Returns:
         The files: PNG and SVG.
@@ -168,7 +168,7 @@ def draw_curves(path: Path, runs: Sequence[Run], *, title: str = "") -> list[Pat
         )
 
     size = (2.3 + 2.5 * len(methods), 1.2 + 2.1 * len(rows))
-    return save(path, size, title, draw)
+    return save(path, size, f"{title}, seed {first}", draw)
 
 
 def _draw_baselines(axes: Axes, cells: Spreads, key: Key) -> None:
