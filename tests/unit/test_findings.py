@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from experiments.figure import Key
-from experiments.plots import draw_over_n, draw_variants
+from experiments.plots import draw_curves, draw_over_n, draw_variants
 from experiments.statistics import Run, by_seed, paired_difference, spread, student_t
 from experiments.tables import (
     Measure,
@@ -185,6 +185,16 @@ def test_each_control_has_tables_of_its_own_and_the_paper_stands_beside_its_own(
     assert [own for _, own in (first, second)] == [rows[:1], rows[1:]]
     ((same, own),) = by_control(replace(measure, controlled=False), rows)
     assert same.name == "E" and own == rows[1:]
+
+
+def test_curves_are_drawn_of_the_first_seed_that_has_them(tmp_path: Path) -> None:
+    curves = {"time_s": [0.0, 0.25], "deltoid": [1.0, 42.0]}
+    rows = [{**run("(i)", 1, seed, 0.1), "curves": curves} for seed in (3, 4)]
+    rows += [{**run("oracle", 0, 3, 0.1), "curves": curves}, run("before", 0, 0, 0.1)]
+    png, svg = draw_curves(tmp_path / "lift-curves", rows, title="lift")
+    assert png.read_bytes().startswith(b"\x89PNG")
+    drawn = svg.read_text()
+    assert "lift, seed 3" in drawn and "deltoid" in drawn and drawn.count("42 N") == 2
 
 
 def test_curves_are_kept_of_the_first_seed_alone() -> None:
