@@ -66,7 +66,7 @@ experiments: setup  ## repeat the experiments; hours, and it goes on where it st
 		$(SHORT) --controls converged --out $(KEPT)/elbow-variants \
 		--json docs/results/elbow-variants.json
 	$(BIN)/python -m experiments arm --variants clean,model --seed 200 $(SHORT) --json docs/results/arm.json
-	$(BIN)/python -m experiments arm --variants moved4,stiff,load,all --seed 200 $(SHORT) \
+	$(BIN)/python -m experiments arm --variants moved2,moved4,stiff,motor,soft,load,all --seed 200 $(SHORT) \
 		--controls converged --out $(KEPT)/arm-variants --json docs/results/arm-variants.json
 	$(BIN)/python -m experiments lift --variants clean,model --json docs/results/lift.json
 	$(BIN)/python -m experiments ablate elbow --seeds 5 --json docs/results/ablate-elbow.json

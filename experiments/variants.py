@@ -68,8 +68,8 @@ class Variant:
         return Loaded
 
 
-VARIANTS = {
-    "clean": Variant("nothing but the assembly error"),
+# Of any body
+SURPRISES = {
     "moved2": Variant("old insertions 2 mm elsewhere since h_old", {"moved_m": 0.002}),
     "moved4": Variant("old insertions 4 mm elsewhere since h_old", {"moved_m": 0.004}),
     "stiff": Variant("the new muscle's elastic element twice as stiff", {"spare_stiffness": 2.0}),
@@ -79,36 +79,36 @@ VARIANTS = {
     "soft": Variant("the new wire runs over a soft part", {"soft_part_m": 0.005}),
     "load": Variant("the load is known 10 % wrong", believed_load=1.1),
 }
-
-ARM_VARIANTS = {
-    "clean": Variant("h_old from the arm itself; nothing but the assembly error"),
-    "model": Variant(
-        "h_old from a geometric model, sites 20 mm off, no friction, refined on five motions",
-        drawn=True,
-    ),
-    "moved4": Variant("old insertions 4 mm elsewhere since h_old", {"moved_m": 0.004}),
-    "stiff": Variant("the new muscle's elastic element twice as stiff", {"spare_stiffness": 2.0}),
-    "load": Variant("the load is known 10 % wrong", believed_load=1.1),
-    "all": Variant(
-        "h_old from the model; readings 10 % off in motion, a soft part, joints 5 mm and 15 mrad "
-        "off, noise tripled",
-        {
-            "motor_friction": 0.1,
-            "soft_part_m": 0.01,
-            "joint_error_m": 0.005,
-            "joint_error_rad": 0.015,
-            "tension_noise_n": 0.6,
-            "length_noise_m": 6e-5,
-            "angle_noise_rad": 3e-3,
-        },
-        drawn=True,
-    ),
-}
-
-LIFT_VARIANTS = {
+# Of a body of several joints: where h_old comes from
+BEGINNINGS = {
     "clean": Variant("h_old from the robot itself; nothing but the assembly error"),
     "model": Variant(
         "h_old from a geometric model, sites 20 mm off, no friction, refined on five motions",
         drawn=True,
     ),
 }
+
+VARIANTS = {"clean": Variant("nothing but the assembly error")} | SURPRISES
+
+ARM_VARIANTS = (
+    BEGINNINGS
+    | SURPRISES
+    | {
+        "all": Variant(
+            "h_old from the model; readings 10 % off in motion, a soft part, joints 5 mm and "
+            "15 mrad off, noise tripled",
+            {
+                "motor_friction": 0.1,
+                "soft_part_m": 0.01,
+                "joint_error_m": 0.005,
+                "joint_error_rad": 0.015,
+                "tension_noise_n": 0.6,
+                "length_noise_m": 6e-5,
+                "angle_noise_rad": 3e-3,
+            },
+            drawn=True,
+        )
+    }
+)
+
+LIFT_VARIANTS = BEGINNINGS | SURPRISES

@@ -6,14 +6,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.variants import ARM_VARIANTS, VARIANTS, Variant
+from experiments.variants import ARM_VARIANTS, LIFT_VARIANTS, VARIANTS, Variant
 from runtime.settings import RobotSettings, load_robot
 from services.logic.arm import Arm
 from services.logic.skeleton import Skeleton
 
 ALL = [
     pytest.param(load_robot(robot), variant, id=f"{robot}-{name}")
-    for robot, variants in (("elbow", VARIANTS), ("musashi_arm", ARM_VARIANTS))
+    for robot, variants in (
+        ("elbow", VARIANTS),
+        ("musashi_arm", ARM_VARIANTS),
+        ("musashi_w", LIFT_VARIANTS),
+    )
     for name, variant in variants.items()
 ]
 
