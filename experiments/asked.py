@@ -2,7 +2,7 @@
 
 011                 the schema's network by itself
 estimator           as the robot has it: mask 011 refined by the lengths of mask 110
-..., solved         the same of a shipped schema with its last layer solved for on the recording
+..., h_old          the same of the paper's network, before it is sharpened (`train.sharpened`)
 direct              a plain network for this one question, learned from the same samples
 """
 
@@ -18,8 +18,7 @@ from experiments.direct import learn_direct
 from experiments.learn import recipe_for, taut
 from experiments.watched import Watched
 from runtime.messages import Motion
-from services.body_schema.motions import taut_samples, with_length_residuals
-from services.body_schema.polish import polished
+from services.body_schema.motions import taut_samples
 from services.body_schema.posture import posture
 from services.body_schema.schema import Schema
 
@@ -28,17 +27,18 @@ Asked = dict[str, Callable[[Watched], Told]]
 LIVE, DIRECT = "estimator", "direct"
 
 
-def of_first_schema(shipped: Schema, recording: Recording, seed: int, *, quick: bool) -> Asked:
-    """Of a robot as it is shipped; the recording is what its schema is learned from."""
+def of_first_schema(
+    shipped: Schema, old: Schema, recording: Recording, seed: int, *, quick: bool
+) -> Asked:
+    """Of a robot as it is shipped, and of h_old; the recording is what both are learned from."""
     theta, f, length, held = taut(recording)
     samples = theta[~held], f[~held], length[~held]
-    solved = with_length_residuals(polished(shipped, *samples), *samples)
     recipe = recipe_for(len(shipped.joints), quick=quick)
     return {
         "011": _by_mask(shipped),
         LIVE: _as_published,
-        "011, solved": _by_mask(solved),
-        f"{LIVE}, solved": _refined(solved),
+        "011, h_old": _by_mask(old),
+        f"{LIVE}, h_old": _refined(old),
         DIRECT: _direct(learn_direct(shipped, *samples, recipe, seed)),
     }
 

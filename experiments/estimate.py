@@ -35,7 +35,7 @@ from services.logic.relearning import by_wires
 from services.logic.wiring import served
 
 AS_IS, MOVED, STUCK = "as it is", "insertions moved 4 mm", "a load cell stuck"
-OLD, GROWN = "h_old", "h_new, (iv)"
+SHIPPED, GROWN = "as shipped", "grown, (iv)"
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,8 @@ def run(args: argparse.Namespace) -> int:
     with bars() as narrate:
         recording = _recording(settings, args, narrate)
         narrate("learn", 0, 1)
-        asked = of_first_schema(_shipped(settings), recording, args.seed, quick=args.quick)
+        shipped, old = _shipped(settings), VARIANTS["clean"].old(settings)
+        asked = of_first_schema(shipped, old, recording, args.seed, quick=args.quick)
         narrate("learn", 1, 1)
         for number, seed in enumerate(range(args.seed, args.seed + args.seeds)):
             narrate("watch", number, args.seeds)
@@ -158,7 +159,7 @@ def _cases(
     moved = subject.moved.settings(settings)
     for name, body, fault in ((AS_IS, settings, ""), (MOVED, moved, ""), (STUCK, settings, stuck)):
         rig = start(body, seed, replace(shipped, wires=None))
-        yield Case(OLD, name, watch_task(rig, shipped, subject.task, fault), asked)
+        yield Case(SHIPPED, name, watch_task(rig, shipped, subject.task, fault), asked)
     if subject.grows:
         collected = collect(settings, seed, replace(shipped, wires=None), settings.growth.n_new)
         spare = settings.spare[0].name

@@ -82,7 +82,7 @@ def _cell(told: Spread, name: str) -> str:
 
 def draw_coverage(path: Path, runs: Sequence[Run], title: str) -> list[Path]:
     """How many errors lie within once and twice the confidence: each seed, and their mean."""
-    told = [run for run in runs if "within_1" in run["figures"] and "solved" not in run["method"]]
+    told = [run for run in runs if "within_1" in run["figures"] and "h_old" not in run["method"]]
     cases = list(dict.fromkeys((run["control"], run["variant"]) for run in told))
 
     def fill(figure: Figure) -> None:

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 
 import msgspec
 
-from experiments.learn import of_drawing
+from experiments.learn import of_drawing, of_paper
 from runtime.cli.main import UsageError
 from runtime.settings import RobotSettings
 from services.body_schema.schema import Schema
@@ -47,7 +47,7 @@ class Variant:
         file = settings.schema_file
         if file is None:
             raise UsageError(f"{settings.file}: an experiment begins with a schema; name one")
-        return (of_drawing(file) if self.drawn else file).read_bytes()
+        return (of_drawing if self.drawn else of_paper)(file).read_bytes()
 
     def settings(self, settings: RobotSettings) -> RobotSettings:
         """The robot of this variant."""

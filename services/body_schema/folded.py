@@ -1,9 +1,10 @@
 """One mask of the network made ready to serve: everything constant is folded into its weights.
 
 The groups that a mask leaves out are zero and the mask itself is constant, so their columns
-vanish; scales and references are taken into the first and last layer. Every hidden layer has one
-unit more, which is always one and carries the biases. What remains is products and tanh, from SI
-units to SI units, that numpy evaluates in about 10 us.
+vanish, and so do units that only see such a group or that only serve another question; scales and
+references are taken into the first and last layer. Every hidden layer has one unit more, which is
+always one and carries the biases. What remains is products and tanh, from SI units to SI units,
+that numpy evaluates in about 10 us.
 
 The first layer is summed column by column and the last row by row, so that a column or row of
 zeros that growth adds cannot change a rounding: the grown network's old outputs are bit-identical.
@@ -21,9 +22,28 @@ Indices = NDArray[np.intp]
 ALWAYS_ONE = 50.0  # tanh of it is 1 to the last bit
 
 
-def inner_layers(weights: Weights) -> tuple[Array, ...]:
-    """The layers between the first and the last, the same for all masks: (in + 1, out + 1)."""
-    return tuple(_with_ones(w, b) for w, b in weights[1:-1])
+def pruned(weights: Weights, entering: Indices, outputs: Indices) -> Weights:
+    """The network without units that are always zero, or that no asked output looks at.
+
+    Args:
+        weights: of all layers.
+        entering: columns of the first layer that are not zero.
+        outputs: rows of the last layer that are asked for.
+    """
+    kept = []
+    heard = np.isin(np.arange(weights[0][0].shape[1]), entering)
+    for w, b in weights[:-1]:
+        heard = w[:, heard].any(axis=1) | (b != 0.0)
+        kept.append(heard)
+    asked = np.isin(np.arange(len(weights[-1][1])), outputs)
+    for layer in range(len(kept) - 1, -1, -1):
+        kept[layer] = asked = kept[layer] & weights[layer + 1][0][asked].any(axis=0)
+    whole = [np.ones(n, dtype=bool) for n in (weights[0][0].shape[1], len(weights[-1][1]))]
+    ends = [whole[0], *kept, whole[1]]
+    return tuple(
+        (w[np.ix_(rows, given)], b[rows])
+        for (w, b), given, rows in zip(weights, ends, ends[1:], strict=False)
+    )
 
 
 class Folded:
@@ -32,7 +52,6 @@ class Folded:
     def __init__(
         self,
         weights: Weights,
-        inner: tuple[Array, ...],  # `inner_layers` of the same weights
         *,
         inputs: Indices,  # (K,) which columns a and b are
         scale_in: Array,  # (K,)
@@ -42,6 +61,8 @@ class Folded:
         scale_out: Array,  # (R,)
         offset_out: Array,  # (R,)
     ) -> None:
+        entering = np.append(inputs, np.flatnonzero(constant))
+        weights = pruned(weights, entering, outputs)
         w1, b1 = weights[0]
         w6, b6 = weights[-1]
         first = w1[:, inputs].T / scale_in[:, None]
@@ -49,7 +70,7 @@ class Folded:
         bias = b1 + (w1.T * constant[:, None]).sum(axis=0) - moved
         self._first = np.pad(first, ((0, 0), (0, 1)))  # (K, U + 1)
         self._bias = np.append(bias, ALWAYS_ONE)  # (U + 1,)
-        self._inner = inner
+        self._inner = tuple(_with_ones(w, b) for w, b in weights[1:-1])
         offset = b6[outputs] * scale_out + offset_out
         self._last = np.column_stack((w6[outputs] * scale_out[:, None], offset))  # (R, U + 1)
 

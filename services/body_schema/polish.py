@@ -10,6 +10,7 @@ times the residual. `calmed` solves for all masks at once, with small weights, t
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -35,9 +36,17 @@ TINY = 1e-9
 
 
 def polished(
-    schema: Schema, theta: Array, f: Array, length: Array, *, robust: bool = False
+    schema: Schema,
+    theta: Array,
+    f: Array,
+    length: Array,
+    *,
+    robust: bool = False,
+    masks: Collection[Mask] = MASKS,
 ) -> Schema:
     """The schema with its last layer fitted to theta (T, N) [rad], f (T, M) [N], length (T, M).
+
+    `masks`: whose groups are; the others stay as they are.
 
     `robust`: a sample in which a muscle's length is odd counts less. A wire that nearly meets its
     other end has a kink that no network follows, and squares would make all else follow that.
@@ -46,6 +55,8 @@ def polished(
     targets = schema.scaled(theta, f, length)
     rows = np.column_stack(schema.weights[-1])  # (N + 2 M, U + 1): U units, and the bias
     for own, mask in ((c.length, LENGTHS), (c.theta, ANGLES), (c.tension, TENSIONS)):
+        if mask not in masks:
+            continue
         h, wanted = _entering(schema, targets, mask), targets[:, own]
         rows[own] = _solved(h, wanted, rows[own])
         for _ in range(ROUNDS if robust and mask == LENGTHS else 0):

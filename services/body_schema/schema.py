@@ -22,7 +22,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from services.body_schema.folded import Folded, inner_layers
+from services.body_schema.folded import Folded
 from services.body_schema.network import (
     ANGLES,
     LENGTHS,
@@ -135,10 +135,6 @@ class Schema:
         return y[c.theta], y[c.tension], y[c.length]
 
     @cached_property
-    def _inner(self) -> tuple[Array, ...]:
-        return inner_layers(self.weights)
-
-    @cached_property
     def _lengths(self) -> Folded:
         return self._fold(LENGTHS, (0, 0, 1))
 
@@ -161,7 +157,6 @@ class Schema:
         constant[c.mask] = mask
         return Folded(
             self.weights,
-            self._inner,
             inputs=inputs,
             scale_in=scale[inputs],
             offset_in=offset[inputs],

@@ -1,6 +1,7 @@
 """Training of the body schema.
 
-    train_old  h_old from data
+    train_old  h_old from data, the paper's network
+    sharpened  the same with units of its own for each question
     relearn    h_new from h_old and a handful of motions, the paper's loss and its schedules
     teach      h_new from h_old and a teacher who knows the lengths
     distil     h for fewer muscles from h's own replay
@@ -17,6 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from runtime.messages import Motion
 from services.body_schema.growth import grow, shrink
@@ -28,6 +30,9 @@ from services.body_schema.motions import (
     with_length_residuals,
 )
 from services.body_schema.network import (
+    ANGLES,
+    LENGTHS,
+    TENSIONS,
     Array,
     NetworkConfig,
     Weights,
@@ -44,7 +49,13 @@ from services.body_schema.train_network import (
     one_thread,
     single,
 )
-from services.body_schema.widen import crossed_joints, narrowed, widened
+from services.body_schema.widen import (
+    ADDED,
+    crossed_joints,
+    narrowed,
+    widened_for_angles,
+    widened_for_lengths,
+)
 
 Progress = Callable[[int, int, float, float, float], None]  # epoch, epochs, loss, new, old
 
@@ -116,6 +127,33 @@ def train_old(
 
 
 @one_thread
+def sharpened(
+    old: Schema,
+    theta: Array,
+    f: Array,
+    length: Array,
+    crossed: NDArray[np.bool_],
+    *,
+    seed: int = 0,
+) -> Schema:
+    """h_old with units of its own for each question (`widen.py`), solved for on its own samples.
+
+    What a robot is shipped with. The paper's h_old is what `train_old` leaves.
+
+    Args:
+        old: h_old.
+        theta, f, length: what it was trained on, (T, N) [rad], (T, M) [N], (T, M) [m].
+        crossed: (M, N), which joints a wire crosses.
+        seed: of the units' random directions.
+
+    Raises:
+        TrainingError: too few samples, or one that is not finite.
+    """
+    samples = taut(theta, f, length)
+    return _with_residuals(_solved(old, samples, crossed, seed), *samples)
+
+
+@one_thread
 def relearn(
     old: Schema,
     motions: Sequence[Motion],
@@ -140,11 +178,14 @@ def relearn(
         raise TrainingError(f"method {method} is unknown, there are {', '.join(METHODS)}")
     theta, f, length = taut_samples(motions, len(old.joints), len(old.muscles) + bool(added))
     rng = np.random.default_rng(seed)
-    replay = masked(old, *_replay(old, rng))
-    start = replace(old, wires=None)
+    replayed = _replay(old, rng)
+    replay = masked(old, *replayed)
+    start = narrowed(replace(old, wires=None))
+    if ADDED in old.meta:  # then its last layer was solved for: descent begins with a calm one
+        start = calmed(start, *replayed)
     if added:
         replay = with_zeros(replay, len(old.joints), len(old.muscles))
-        start = _grown(old, added, f, length)
+        start = _grown(start, added, f, length)
     if not copy:
         start = _random(start, seed)
     weights = _train(
@@ -193,9 +234,8 @@ def teach(
     lesson = masked(start, asked, tension, answers)
     taught = replace(start, weights=_train(start, lesson, None, recipe, seed, progress))
     if polish:
-        if widen:
-            taught = widened(taught, crossed_joints(teacher, asked, tension), seed)
-        taught = polished(taught, asked, tension, answers, robust=True)
+        crossed = crossed_joints(teacher, asked, tension) if widen else None
+        taught = _solved(taught, (asked, tension, answers), crossed, seed, robust=True)
     taught = _with_residuals(taught, theta, f, length)
     return replace(taught, tension_range_n=np.tile((SLACK_N, strong), (len(start.muscles), 1)))
 
@@ -230,6 +270,23 @@ def distil(
     lost_m = student.lengths(theta, f[:, kept]) - length[:, kept]
     more_m = np.sqrt((lost_m**2).mean(axis=0))
     return replace(student, length_sigma_m=np.hypot(start.length_sigma_m, more_m))
+
+
+def _solved(
+    schema: Schema,
+    samples: tuple[Array, Array, Array],  # theta (T, N) [rad], f (T, M) [N], length (T, M) [m]
+    crossed: NDArray[np.bool_] | None,  # (M, N): which joints a wire crosses; None: not widened
+    seed: int,
+    *,
+    robust: bool = False,
+) -> Schema:
+    """The schema with units for each question, and its last layer solved for."""
+    if crossed is None:
+        return polished(schema, *samples, robust=robust)
+    schema = widened_for_lengths(schema, crossed, seed)
+    schema = polished(schema, *samples, robust=robust, masks=(LENGTHS, TENSIONS))
+    schema = widened_for_angles(schema, crossed, seed)  # now: lengths are to do without these
+    return polished(schema, *samples, masks=(ANGLES,))
 
 
 def _grown(old: Schema, added: str, f: Array, length: Array) -> Schema:

@@ -9,12 +9,13 @@ import pytest
 
 from experiments import paper_control
 from experiments.paper_control import Descent, PaperArm, plan_by_descent
+from experiments.variants import VARIANTS
 from services.body_schema.control import Plan, plan
 from services.body_schema.network import Array
-from tests.unit.arm_bench import DT_S, SETTINGS, SKELETON, Bench, shipped
+from tests.unit.arm_bench import DT_S, SETTINGS, SKELETON, Bench
 
 LOW, HIGH = np.full(3, 8.0), np.full(3, 120.0)
-SCHEMA = shipped()
+SCHEMA = VARIANTS["clean"].old(SETTINGS)
 
 
 def both(angle: float, steps: int = 300) -> tuple[Plan, Plan]:
@@ -105,7 +106,8 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 def bench() -> Bench:
     made = Bench(angle_rad=0.5)
     made.arm = PaperArm(SETTINGS, SKELETON)
-    made.arm.use(made.schema)
+    made.schema = SCHEMA
+    made.arm.use(SCHEMA)
     made.feel()
     return made
 
@@ -120,7 +122,7 @@ def test_one_descent_for_each_end_of_a_movement(asked: list[float]) -> None:
     moved.arm.go(np.array([0.5]))  # where it has been
     moved.run(3.0)
     assert len(asked) == 2
-    moved.arm.use(shipped())  # knows other things
+    moved.arm.use(replace(SCHEMA, meta={}))  # knows other things
     moved.run(0.5)
     assert asked == pytest.approx([0.5, 1.2, 0.5])
 
