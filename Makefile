@@ -68,7 +68,9 @@ experiments: setup  ## repeat the experiments; hours, and it goes on where it st
 	$(BIN)/python -m experiments arm --variants clean,model --seed 200 $(SHORT) --json docs/results/arm.json
 	$(BIN)/python -m experiments arm --variants moved2,moved4,stiff,motor,soft,load,all --seed 200 $(SHORT) \
 		--controls converged --out $(KEPT)/arm-variants --json docs/results/arm-variants.json
-	$(BIN)/python -m experiments lift --variants clean,model --json docs/results/lift.json
+	$(BIN)/python -m experiments lift --variants clean,model --seed 200 --json docs/results/lift.json
+	$(BIN)/python -m experiments lift --variants moved2,moved4,stiff,motor,soft,load --seed 200 \
+		--seeds 3 --out $(KEPT)/lift-variants --json docs/results/lift-variants.json
 	$(BIN)/python -m experiments ablate elbow --seeds 5 --json docs/results/ablate-elbow.json
 	$(BIN)/python -m experiments ablate arm --seeds 5 --variants model --json docs/results/ablate-arm.json
 	$(BIN)/python -m experiments estimate elbow --seeds 10 --json docs/results/estimate-elbow.json

@@ -37,6 +37,7 @@ MEASURES = {
     **{name: module.MEASURES for name, module in EXPERIMENTS.items()},
     "elbow-variants": elbow.MEASURES[:2],
     "arm-variants": arm.MEASURES[:2],
+    "lift-variants": lift.MEASURES[:1],
     **{f"ablate-{name}": ablation.measures for name, ablation in ABLATIONS.items()},
 }
 
@@ -55,7 +56,7 @@ def render(name: str) -> str:
     parts = [part for measure in told for part in by_control(measure, runs)]
     tables = [markdown_table(measure, own) for measure, own in parts]
     more = [table for measure in told[:2] for table in against_tables(measure, runs)[1:]]
-    tables += [lift.cut_table(runs)] if name == "lift" else []
+    tables += [lift.cut_table(runs)] if name.startswith("lift") else []
     tables += [table for measure in told[:2] for table in against_tables(measure, runs)[:1]]
     orders = [
         line

@@ -80,6 +80,7 @@ TEACH = Recipe(steps=1500, batch=32, rate=3e-3)  # the rest is for the last laye
 FIRST = Recipe(steps=6000, batch=64, rate=4e-3)  # of a network that knows nothing yet
 LESS = Recipe(steps=2000, batch=64, rate=2e-3)
 TAUGHT = 8192  # random (theta, f) that a teacher is asked about
+SHAKEN_N, SHAKEN_M = 0.5, 1e-4  # what readings that mask 011 is asked for may be off by
 REPLAYED = 8192  # random (theta, f) that h_old is asked about
 
 METHODS: dict[str, Callable[[float], float]] = {  # done part of the epochs -> w_loss
@@ -286,7 +287,21 @@ def _solved(
     schema = widened_for_lengths(schema, crossed, seed)
     schema = polished(schema, *samples, robust=robust, masks=(LENGTHS, TENSIONS))
     schema = widened_for_angles(schema, crossed, seed)  # now: lengths are to do without these
-    return polished(schema, *samples, masks=(ANGLES,))
+    return polished(schema, *_shaken(samples, seed), masks=(ANGLES,))
+
+
+def _shaken(samples: tuple[Array, Array, Array], seed: int) -> tuple[Array, Array, Array]:
+    """The samples as they might have been read: who asks for angles has nothing but readings.
+
+    Without it weights grow that readings which no posture has, a stuck load cell's, blow up.
+    """
+    theta, f, length = samples
+    rng = np.random.default_rng((seed, 2))
+    return (
+        theta,
+        f + SHAKEN_N * rng.normal(size=f.shape),
+        length + SHAKEN_M * rng.normal(size=length.shape),
+    )
 
 
 def _grown(old: Schema, added: str, f: Array, length: Array) -> Schema:
