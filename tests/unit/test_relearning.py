@@ -9,10 +9,12 @@ import msgspec
 import numpy as np
 import pytest
 
+from experiments.variants import VARIANTS
 from runtime.messages import Motion, MusclePath, Place, TrainingJob
 from runtime.settings import load_robot
 from services.body_schema import train
 from services.body_schema.motions import TrainingError
+from services.body_schema.posture import posture
 from services.body_schema.schema import Schema
 from services.body_schema.wires import WireModel, Wires
 from services.logic.relearning import by_wires, fitted, grown, known_paths, refitted
@@ -132,6 +134,21 @@ def test_wires_are_fitted_and_stand_beside_the_network() -> None:
     rng = np.random.default_rng(8)
     theta, f = rng.uniform(0.1, 2.0, (50, 1)), rng.uniform(8.0, 90.0, (50, 4))
     np.testing.assert_allclose(model.lengths(theta, f), right.lengths(theta, f), atol=0.5e-3)
+
+
+def test_readings_that_no_posture_has_do_not_blow_up_mask_011() -> None:
+    """A pupil that was only ever shown what fits together said 0.13 rad to a stuck load cell."""
+    old, teacher = VARIANTS["clean"].old(SETTINGS), truth()
+    pupil = train.teach(old, motions(), NEW, teacher.lengths, recipe=train.Recipe(200, 32, 3e-3))
+    s = np.linspace(0.0, 1.0, 40)[:, None]
+    theta, f = 0.3 + 1.5 * s, 25.0 + 15.0 * np.cos(2 * np.pi * (s + 0.25 * np.arange(4)))
+    length = teacher.lengths(theta, f)
+    for muscle in range(4):
+        stuck = f.copy()
+        stuck[:, muscle] = 60.0
+        told = [posture(pupil, *reading) for reading in zip(stuck, length, strict=True)]
+        off = np.array([x.angle_rad for x in told]) - theta
+        assert np.abs(off).max() < 2e-3, MUSCLES[muscle]
 
 
 def test_a_body_is_learned_again_by_wires_as_it_is() -> None:
