@@ -183,6 +183,8 @@ def test_learn_writes_a_schema_and_says_how_good_it_is(
     residual_mm, angle_rad = learn.held_out(schema, recording)
     assert max(residual_mm) < 6.0  # ten seconds of motion, hardly any training: rough, but it
     assert angle_rad < 0.2  # has learned which way the muscles pull
+    old = Schema.from_bytes(learn.of_paper(out).read_bytes())  # what experiments begin with
+    assert sum(residual_mm) < 0.7 * sum(learn.held_out(old, recording)[0])
 
 
 def test_every_tenth_taut_sample_is_held_out() -> None:
