@@ -36,7 +36,8 @@ HANDED_ON = 0.1  # of a scaled quantity: tanh is straight there to a third of a 
 BENDS_N = (*KNEES_N, 4 * KNEES_N[-1])
 DIRECTIONS, MOST = 10, 800  # for each joint that a wire crosses; in all: solving goes by its square
 STEEP, ASIDE = 0.75, 1.5  # of a direction over half a joint's range: its slope, its farthest middle
-BACK, SLIGHT = 60, 0.3  # units for each muscle under mask 011, at most MOST; how far they bend
+BACK, MOST_BACK = 120, 1200  # for each muscle under mask 011; in all
+SLIGHT = 0.3  # how far they bend
 ASKED = 24
 TOUCHED_M = 1e-6
 
@@ -77,7 +78,7 @@ def widened_for_angles(schema: Schema, crossed: NDArray[np.bool_], seed: int = 0
     rng = np.random.default_rng((seed, 1))
     rows, aside = [], []
     for muscles in _neighbours(crossed):
-        count = min(BACK, max(1, MOST // m)) * len(muscles)
+        count = min(BACK, max(1, MOST_BACK // m)) * len(muscles)
         seen = np.isin(np.arange(m), muscles)
         looking = np.append(seen, np.repeat(seen, len(BENDS_N)))
         spread = np.append(np.ones(m), np.full(len(bends), len(BENDS_N) ** -0.5))
