@@ -21,6 +21,7 @@ from runtime.messages import Motion
 from services.body_schema.motions import taut_samples
 from services.body_schema.posture import posture
 from services.body_schema.schema import Schema
+from services.body_schema.widen import narrowed
 
 Told = tuple[Array, Array | None]  # angles (T, N) [rad], and their confidence if there is one
 Asked = dict[str, Callable[[Watched], Told]]
@@ -39,7 +40,7 @@ def of_first_schema(
         LIVE: _as_published,
         "011, h_old": _by_mask(old),
         f"{LIVE}, h_old": _refined(old),
-        DIRECT: _direct(learn_direct(shipped, *samples, recipe, seed)),
+        DIRECT: _direct(learn_direct(old, *samples, recipe, seed)),
     }
 
 
@@ -52,7 +53,7 @@ def of_grown_schema(grown: Schema, motions: tuple[Motion, ...], seed: int, *, qu
     return {
         "011": _by_mask(grown),
         LIVE: _as_published,
-        DIRECT: _direct(learn_direct(grown, *samples, recipe, seed)),
+        DIRECT: _direct(learn_direct(narrowed(grown), *samples, recipe, seed)),
     }
 
 
