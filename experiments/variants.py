@@ -47,7 +47,10 @@ class Variant:
         file = settings.schema_file
         if file is None:
             raise UsageError(f"{settings.file}: an experiment begins with a schema; name one")
-        return (of_drawing if self.drawn else of_paper)(file).read_bytes()
+        begins_with = (of_drawing if self.drawn else of_paper)(file)
+        if not begins_with.exists():
+            raise UsageError(f"{begins_with}: not there; `python -m experiments learn` makes it")
+        return begins_with.read_bytes()
 
     def settings(self, settings: RobotSettings) -> RobotSettings:
         """The robot of this variant."""

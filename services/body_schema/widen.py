@@ -69,7 +69,7 @@ def widened_for_angles(schema: Schema, crossed: NDArray[np.bool_], seed: int = 0
         return schema
     m = len(schema.muscles)
     c = columns(len(schema.joints), m)
-    bends = (schema.tension_scale_n[:, None] / BENDS_N).ravel()  # tanh(f / bend)
+    bends = _bends(schema)
     entering = np.zeros((m + len(bends), c.mask.stop))
     entering[:m, c.length] = HANDED_ON * np.eye(m)
     bending = np.repeat(np.eye(m), len(BENDS_N), axis=0)
@@ -89,7 +89,7 @@ def widened_for_angles(schema: Schema, crossed: NDArray[np.bool_], seed: int = 0
 
 
 def narrowed(schema: Schema) -> Schema:
-    """The schema without the units that `widened_for_...` added.
+    """The schema without the units that both ways of widening added.
 
     Raises:
         SchemaError: its meta tells of units that it does not have.
@@ -145,6 +145,11 @@ def _with_units(schema: Schema, entering: Array, on: Array, rows: Array, bias: A
     return replace(schema, weights=weights, meta=meta)
 
 
+def _bends(schema: Schema) -> Array:
+    """How steeply scaled tensions enter tanh(f / bend), muscle by muscle."""
+    return (schema.tension_scale_n[:, None] / BENDS_N).ravel()
+
+
 def _neighbours(crossed: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
     """Muscles in groups: those over joints that wires, one after another, tie together."""
     tied = crossed @ crossed.T  # (M, M): a joint in common
@@ -159,7 +164,7 @@ def _neighbours(crossed: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
 def _looking(schema: Schema, crossed: NDArray[np.bool_], rng: Any) -> tuple[Array, Array]:
     """Weights (F, N + M) and biases (F,) of units that look at what is handed on."""
     n, m = len(schema.joints), len(schema.muscles)
-    bends = (schema.tension_scale_n[:, None] / BENDS_N).ravel()  # tanh(f / bend)
+    bends = _bends(schema)
     at_tension = np.zeros((len(bends), n + m))
     at_tension[np.arange(len(bends)), n + np.repeat(np.arange(m), len(BENDS_N))] = bends
     low, high = schema.theta_range_rad.T

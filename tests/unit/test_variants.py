@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pytest
 
 from experiments.variants import ARM_VARIANTS, LIFT_VARIANTS, VARIANTS, Variant
+from runtime.cli.main import UsageError
 from runtime.settings import RobotSettings, load_robot
 from services.logic.arm import Arm
 from services.logic.skeleton import Skeleton
@@ -54,3 +57,10 @@ def test_a_believed_load_makes_the_arm_pull_harder_and_leaves_the_robot_alone() 
         plans.append(arm.planned(theta, np.full(3, 5.0), np.full(3, 120.0)))
     produced = [-plan.tension_n @ plan.jacobian for plan in plans]
     np.testing.assert_allclose(produced[0], 1.1 * produced[1], rtol=1e-3)
+
+
+def test_a_beginning_that_is_not_there_is_told_with_what_makes_it(tmp_path: Path) -> None:
+    settings = load_robot("elbow")
+    robot = msgspec.structs.replace(settings.robot, schema=str(tmp_path / "mine.safetensors"))
+    with pytest.raises(UsageError, match=r"mine_h_old\.safetensors: not there; .* learn"):
+        VARIANTS["clean"].old(msgspec.structs.replace(settings, robot=robot))
