@@ -60,8 +60,6 @@ def canvas_of(
 
 
 def _loop(launch: Launch, stream: Stream) -> None:
-    gc.collect()
-    gc.freeze()  # what was imported stays: no need to look through it again
     gc.set_threshold(GARBAGE)
     with launch.open_bus() as member:
         member.subscribe(*(kind for kind in stream.inputs if kind not in CURVES), poll=True)

@@ -66,7 +66,7 @@ def processes_of(settings: RobotSettings) -> tuple[Spec, ...]:
         Spec("recorder", Restart.ON_FAILURE, nice=UNHURRIED),  # early, so that it is stopped late
         Spec("estimator"),
         Spec("executive"),
-        Spec("retrainer", nice=UNHURRIED),
+        Spec("retrainer", nice=UNHURRIED, awaited=True),  # no schema, no control
         *(
             (Spec("web", Restart.ON_FAILURE, nice=UNHURRIED, awaited=True),)
             if can_serve_page()

@@ -18,7 +18,7 @@ import pytest
 from runtime import messages as m
 from runtime.bus import Bus
 from runtime.clock import RobotClock
-from runtime.hubs import address_file, find_hub
+from runtime.hubs import address_file
 from tests.bench.timing import tell, tell_p99
 from tests.e2e.conftest import PATIENCE_S, Command, Robot, elbow, home, running
 from tests.e2e.test_page import CHROMIUM, FLAGS
@@ -30,6 +30,7 @@ __all__ = ["home"]  # a fixture: a registry of this module's own
 pytestmark = pytest.mark.skipif(not CHROMIUM, reason="needs a browser: apt-get install chromium")
 
 READY_S = 3.0
+STARTS = 7
 EVENT_S = 0.5  # p95
 EVENTS = 40
 LISTENERS = 10
@@ -37,6 +38,17 @@ ROUNDS = 20  # of each: short ones that alternate, as the machine's own noise co
 ROUND_S = 2.5
 CPU_PERCENT = 6.0
 GROUP_MB = 600.0
+
+WHEN_READY = """
+    document.addEventListener("DOMContentLoaded", () => {
+        const [stage, controls] = ["stage", "controls"].map((id) => document.getElementById(id));
+        const look = () => {
+            if (stage.textContent === "hold" && !controls.disabled) window.readyAt ??= Date.now();
+        };
+        const changes = {attributes: true, childList: true, subtree: true};
+        for (const each of [stage, controls]) new MutationObserver(look).observe(each, changes);
+    });
+"""
 
 LISTEN = """
 import selectors, socket, sys
@@ -70,23 +82,30 @@ def browser() -> Iterator[Browser]:
 
 
 def test_controls_are_ready_soon(browser: Browser, tmp_path: Path) -> None:
-    """From the command to a page whose robot holds and can be asked; the browser is open."""
-    page = browser.new_page()
-    file = elbow(tmp_path, "soon").file
-    began_s = time.monotonic()
-    up = Command("up", file)
-    try:
-        address = _announced(up)
-        print()
-        tell("command to page announced", time.monotonic() - began_s, READY_S, "s")
-        page.goto(address)
-        expect(page.locator("#stage")).to_have_text("hold", timeout=30_000)
-        assert page.get_by_role("button", name="Go there").is_enabled()
-        tell("command to controls ready", time.monotonic() - began_s, READY_S, "s")
-        assert find_hub("soon").robot == "soon"
-    finally:
-        page.close()
-        up.end()
+    """From the command to a page whose robot holds and can be asked; the browser is open.
+
+    Each start is a new robot's. The page itself says when, as it is looked at only now and then.
+    """
+    announced_s, ready_s = [], []
+    for start in range(STARTS):
+        page = browser.new_page()
+        page.add_init_script(WHEN_READY)
+        file = elbow(tmp_path, f"soon{start}").file
+        began_s = time.time()
+        up = Command("up", file)
+        try:
+            page.goto(_announced(up))
+            announced_s.append(time.time() - began_s)
+            expect(page.get_by_role("button", name="Go there")).to_be_enabled()
+            page.wait_for_function("() => window.readyAt", timeout=1e3 * PATIENCE_S)
+            ready_s.append(page.evaluate("window.readyAt") / 1e3 - began_s)
+        finally:
+            page.close()
+            up.end()
+    print()
+    for what, taken_s in (("page there", announced_s), ("controls ready", ready_s)):
+        tell(f"command to {what}, p50", float(np.median(taken_s)), READY_S, "s")
+        tell(f"command to {what}, worst of {STARTS}", max(taken_s), READY_S, "s")
 
 
 def _announced(up: Command) -> str:
