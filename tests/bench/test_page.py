@@ -70,6 +70,7 @@ with selectors.DefaultSelector() as awake:
                 ear.sendall(b"GET /api/stream HTTP/1.1\\r\\nHost: localhost\\r\\n\\r\\n")
                 awake.register(ear, selectors.EVENT_READ)
             print("listening", flush=True)
+            break  # what else was awake may be closed by now
 """
 
 
