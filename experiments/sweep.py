@@ -131,13 +131,12 @@ def _on_loky(units: Sequence[Unit], work: Work, jobs: int) -> Generator[str, Non
         parallel = Parallel(
             n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs"
         )
-        lines = parallel(delayed(_attempt)(work, unit, os.getpid()) for unit in units)
-        try:
-            yield from lines
+        pieces = (delayed(_attempt)(work, unit, os.getpid()) for unit in units)
+        try:  # the call itself hands out the first of them, and may meet a dead worker already
+            with contextlib.closing(parallel(pieces)) as lines:
+                yield from lines
         except TerminatedWorkerError as error:
             raise SweepError("a worker process died; was there too little memory?") from error
-        finally:
-            lines.close()
 
 
 def _on_dask(units: Sequence[Unit], work: Work, address: str) -> Generator[str, None, None]:
