@@ -81,7 +81,7 @@ class RerunCanvas:
     ) -> None:
         """Name and colour a vector's slots."""
         style = rr.SeriesLines(
-            names=[name or " " for name in names],
+            names=[name or "free slot" for name in names],
             colors=colors,
             widths=widths,
             visible_series=[bool(name) for name in names],
