@@ -117,7 +117,12 @@ class Group:
     # ── for the owner ──────────────────────────────────────────────────────────────────────────
 
     def start(self) -> None:
-        """Open the hub and start every process; returns at once."""
+        """Open the hub and start every process; returns at once.
+
+        Raises:
+            HubError: a robot of that name is running.
+            OSError: a folder cannot be made, or a process cannot be started; `stop` ends the rest.
+        """
         also = (*self._connect, *(hub.endpoint for hub in living_hubs()))
         self.endpoint = free_endpoint()
         hub = Hub(
@@ -147,12 +152,12 @@ class Group:
                 self._on_exit,
                 self._policy,
             )
-        self._tell_person(f"{self.settings.name}: {len(self._specs)} processes, logs in {logs}")
-        for child in self._children.values():
-            child.start()
         self._thread = threading.Thread(target=self._watch, name="supervisor", daemon=True)
         self._thread.start()
         self._running = True
+        self._tell_person(f"{self.settings.name}: {len(self._specs)} processes, logs in {logs}")
+        for child in self._children.values():
+            child.start()
 
     def wait_ready(self, timeout_s: float = 30.0) -> bool:
         """Wait until every process is ready; False when one failed or time is up."""

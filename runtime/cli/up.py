@@ -129,13 +129,16 @@ def _attend(groups: list[Group]) -> int:
     code = DONE
     try:
         for group in groups:
-            group.start()
             started.append(group)
+            group.start()
         _tell_when_ready(groups, told)
         while not told.wait(0.5):
             pass
     except HubError as error:
         print(f"myograft: {error}", file=sys.stderr)
+        code = REFUSED
+    except OSError as error:
+        print(f"myograft: cannot start: {error}; `myograft doctor` may know why", file=sys.stderr)
         code = REFUSED
     finally:
         stoppers = [threading.Thread(target=group.stop) for group in started]

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -15,6 +16,7 @@ import pytest
 from runtime.backoff import Backoff, BackoffPolicy, Restart
 from runtime.child import describe_exit
 from runtime.cli import up
+from runtime.cli.main import REFUSED, main
 from runtime.hubs import ENDPOINT_VARIABLE, Claim, Hub, HubError, find_hub, living_hubs
 from runtime.mailbox import Mailbox
 from runtime.manifest import processes_of
@@ -94,6 +96,38 @@ def test_up_tells_a_process_that_is_given_up_from_one_that_is_late(
         "elbow: still waiting for estimator",
         "elbow: runs without viz: mend what its log says, then Ctrl-C and `myograft up` again",
     ]
+
+
+@pytest.fixture
+def signals() -> Iterator[None]:
+    """`up` takes them; they are given back."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("signals")
+def test_up_that_cannot_start_a_process_says_so_and_ends(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.setattr("runtime.child.sys.executable", "/nowhere/python")
+    assert main(["up", "elbow"]) == REFUSED
+    told = capsys.readouterr()
+    assert "/nowhere/python" in told.err
+    assert "elbow: stopped" in told.out
+    assert living_hubs() == []
+
+
+@pytest.mark.usefixtures("signals")
+def test_up_without_a_place_for_its_state_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    assert main(["up", "elbow"]) == REFUSED
+    assert str(tmp_path / "file") in capsys.readouterr().err
 
 
 def test_the_budget_ends_and_the_window_moves_on() -> None:
