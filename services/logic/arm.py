@@ -277,7 +277,7 @@ class Arm:
         for name in felt:
             if name not in planned:
                 targets[name] = felt[name][0]  # without stiffness it means nothing: follow
-                self.guests.lead(name, dt_s)
+                self.guests.lead(name, felt[name][1], dt_s)
                 continue
             target = planned[name][1] + share * self._offset_m.get(name, 0.0)
             target += self._correction * self._off_m.get(name, 0.0)

@@ -18,14 +18,13 @@ from services.body_schema.schema import Schema, SchemaError
 from services.logic.arm import Arm
 from services.logic.drawing import drawn_wires
 from services.logic.growth import Growth, GrowthRecord
+from services.logic.guests import TORN_N, TORN_S
 from services.logic.memory import Notebook
 from services.logic.relearning import BY_WIRES
 from services.logic.targets import Target, spread_targets
 from services.logic.versions import NONE
 
 LOST_S = 0.5  # a muscle gone for longer than this is gone
-TORN_S = 1.5  # and one that carries nothing for longer than this, though it should, is torn
-TORN_N = 2.0
 MAX_RESTARTS = 2  # of one growth, before the arm just holds
 MOTIONS_OF_REFIT = 2
 
@@ -99,9 +98,9 @@ class Body:
             self._give_up_on(self.growth, gone)
             return
         self._welcome_back()
-        gone = [name for name in gone if name not in self._arm.excluded]
-        if gone and len(known) > 1:
-            self._begin("shrink", gone[0], tuple(n for n in known if n != gone[0]))
+        lost = next((name for name in gone if name not in self._arm.excluded), "")
+        if lost and len(known) > 1:
+            self._begin("shrink", lost, tuple(n for n in known if n != lost), why=gone[lost])
             return
         for module in self._arm.modules():
             new = module.kind == "muscle" and module.name and module.name not in known
@@ -194,15 +193,15 @@ class Body:
         module = self._arm.module(muscle)
         return module is None or module.state == "lost"
 
-    def _missing(self, dt_s: float) -> list[str]:
-        """Muscles of the schema that have been without service for too long.
+    def _missing(self, dt_s: float) -> dict[str, str]:
+        """Muscles of the schema that have been without service for too long, and why.
 
         Gone from the chain, at fault, or wound in anew by the driver: then the wire was attached
         anew and its length zero is another. Or torn: slack, though the plan asks for tension.
         """
         assert self._arm.schema is not None
         felt = self._arm.felt()
-        missing = []
+        missing = {}
         for name in self._arm.schema.muscles:
             module = self._arm.module(name)
             if module is not None and module.state == "up":
@@ -211,11 +210,18 @@ class Body:
             torn = self.growth is None and name in felt and felt[name][1] < TORN_N
             lost_s = self._lost_s[name] = self._lost_s.get(name, 0.0) + dt_s if absent else 0.0
             torn_s = self._torn_s[name] = self._torn_s.get(name, 0.0) + dt_s if torn else 0.0
-            if lost_s > LOST_S or torn_s > TORN_S:
-                missing.append(name)
+            if lost_s > LOST_S:
+                missing[name] = self._why_absent(module)
+            elif torn_s > TORN_S:
+                missing[name] = "its wire carries nothing, as a torn one"
         return missing
 
-    def _give_up_on(self, growth: Growth, gone: list[str]) -> None:
+    def _why_absent(self, module: m.ModuleInfo | None) -> str:
+        if module is None or module.state == "lost":
+            return "its module does not answer"
+        return f"its module reports {module.fault or module.state}"
+
+    def _give_up_on(self, growth: Growth, gone: Mapping[str, str]) -> None:
         """A muscle that leaves while the body grows ends the growth, unless it is why."""
         record = growth.record
         guest_gone = record.kind != "shrink" and self._is_gone(record.muscle)
@@ -225,7 +231,13 @@ class Body:
     # ── growth ────────────────────────────────────────────────────────────────────────────────
 
     def _begin(
-        self, kind: str, muscle: str, muscles: tuple[str, ...], method: str = "", n_new: int = 0
+        self,
+        kind: str,
+        muscle: str,
+        muscles: tuple[str, ...],
+        method: str = "",
+        n_new: int = 0,
+        why: str = "",
     ) -> None:
         growth, memory = self._arm.settings.growth, self._notebook.memory
         count = {"grow": n_new or growth.n_new, "refit": MOTIONS_OF_REFIT, "shrink": 0}[kind]
@@ -251,7 +263,9 @@ class Body:
         text = f"the body {words} '{muscle}'"
         if self.learns_first:
             text = "the body learns its first schema, by its wires as they are drawn"
-        self._tell("info", f"{kind}_started", text, muscle=muscle)
+        if why:
+            text += f": {why}"
+        self._tell("warning" if why else "info", f"{kind}_started", text, muscle=muscle)
 
     def _procedure(self, record: GrowthRecord) -> Growth:
         return Growth(record, self._arm, self._arm.settings.growth.residual_limit_mm)
