@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
@@ -32,6 +33,7 @@ from runtime.settings import RobotSettings
 ENTRY_POINTS = "myograft.logics"
 LATE_NS = 100_000_000  # an output's stamp may be so much older than the step that gave it
 ONE_GAP_NS = 1_000_000_000  # what is lacking within this is one gap
+LATE_STEPS = 40  # behind which a message may be written that they took in: ten seconds
 KEPT = 4096  # messages of one key that may still be taken in: seconds more than a mailbox holds
 
 log = logging.getLogger(__name__)
@@ -122,7 +124,8 @@ class _Tracer:
         self._make = make
         self._logic = make()
         self._report = Report(process)
-        self._due: Steps | None = None
+        self._due: deque[Steps] = deque()
+        self._told_ns = -1  # the last step of which the process told
         self._next = 0  # how many steps of this start of the process are known
         self._spans: list[tuple[int, int]] = []  # robot time of which all steps are known
         self._astray = False  # in a gap, or not yet found back from one
@@ -133,10 +136,11 @@ class _Tracer:
     def take(self, entry: Entry) -> None:
         _, key, message = entry
         if isinstance(message, Steps):
-            if message.process == self._report.process and _whole(message):
-                # One behind: what these steps took in may be written after them.
-                self._walk()
-                self._due = message
+            ours = message.process == self._report.process and _whole(message)
+            if ours and message.tick_ns[-1] > self._told_ns:  # a recorder's second life hears again
+                self._told_ns = message.tick_ns[-1]
+                self._due.append(message)
+                self._walk_what_is_known()
         elif type(message) in self._logic.outputs:
             self._take_output((type(message).__name__, message.stamp_ns), message)
         elif type(message) in self._logic.inputs:
@@ -146,7 +150,8 @@ class _Tracer:
                 del kept[next(iter(kept))]
 
     def finish(self) -> Report:
-        self._walk()
+        while self._due:
+            self._walk(self._due.popleft())
         report = self._report
         report.invented = sum(not self._in_gap(stamp_ns) for _, stamp_ns in self._said)
         for _, stamp_ns in self._outputs:
@@ -170,10 +175,21 @@ class _Tracer:
     def _in_gap(self, stamp_ns: int) -> bool:
         return any(x.begin_ns - LATE_NS <= stamp_ns < x.until_ns for x in self._report.gaps)
 
-    def _walk(self) -> None:
-        steps, self._due = self._due, None
-        if steps is None:
-            return
+    def _walk_what_is_known(self) -> None:
+        """One behind, or more: what steps took in may be written after them.
+
+        A recorder that came up late has the schema, say, from who keeps it, and later than those
+        who had been listening.
+        """
+        due = self._due
+        while len(due) > LATE_STEPS or (len(due) > 1 and self._knows(due[0])):
+            self._walk(due.popleft())
+
+    def _knows(self, steps: Steps) -> bool:
+        heard = zip(steps.heard_key, steps.heard_ns, strict=True)
+        return all(ns in self._inputs.get(steps.keys[place], ()) for place, ns in heard)
+
+    def _walk(self, steps: Steps) -> None:
         report = self._report
         begin_ns, end_ns = steps.tick_ns[0], steps.tick_ns[-1]
         if steps.begin < self._next:  # the process was started anew

@@ -54,7 +54,7 @@ TOPICS = (
     Topic(m.Event, "event", 0, Keep.HISTORY),
     Topic(m.Health, "health/{process}", 1, Keep.RETAINED),
     Topic(m.GroupState, "group", 1, Keep.RETAINED),
-    Topic(m.Steps, "steps/{process}", 4, Keep.QUEUE),
+    Topic(m.Steps, "steps/{process}", 4, Keep.HISTORY),
     Topic(m.WorldTruth, "world/truth", 200),
 )
 

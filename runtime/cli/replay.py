@@ -24,7 +24,7 @@ from runtime.journal import About, JournalError
 from runtime.manifest import Spec, can_view
 from runtime.messages import Presence
 from runtime.player import Played, Player, kinds_played
-from runtime.retrace import Gap, Report, logics, retrace
+from runtime.retrace import Report, logics, retrace
 from runtime.runs import RunError, about_all, read_all, recordings
 from runtime.settings import RobotSettings, SettingsError, load_robot
 from runtime.settings_checks import NAME
@@ -246,7 +246,8 @@ def _check(args: argparse.Namespace, files: list[Path], about: About) -> int:
         raise UsageError(str(error)) from error
     report = retrace(args.check, lambda: known[args.check](settings), read_all(files))
     print(report_text(report))
-    return DONE if report.exact or report.within(args.tolerance) else REFUSED
+    enough = report.compared > report.left_out
+    return DONE if enough and (report.exact or report.within(args.tolerance)) else REFUSED
 
 
 def report_text(report: Report) -> str:
@@ -274,7 +275,7 @@ def report_text(report: Report) -> str:
         f"the process was started anew at {started} s": len(report.started_ns),
         f"{report.untold} recorded outputs of its last moments are left out: it was ended, or the "
         f"recording was, before it told what it took in for them": report.untold,
-        f"the recording has gaps, {_gaps(report.gaps)}: what was said there cannot be compared, "
+        f"the recording has gaps, {_gaps(report)}: what was said there cannot be compared, "
         f"and is no fault of {report.process}": len(report.gaps),
         f"{report.unheard} messages that it took in did not reach the recorder": report.unheard,
         f"{report.lost_steps} of its steps are not on record, either": report.lost_steps,
@@ -283,12 +284,13 @@ def report_text(report: Report) -> str:
     return "\n".join([*lines, *(f"  {text}" for text, count in counts.items() if count)])
 
 
-def _gaps(gaps: list[Gap]) -> str:
-    """`36.1-72.2 s, 258.6-446.6 s and 4 shorter ones`."""
-    longest = sorted(gaps, key=lambda gap: gap.begin_ns - gap.end_ns)[:LONGEST]
+def _gaps(report: Report) -> str:
+    """`36.1-72.2 s, 258.6-446.6 s and 4 shorter ones`; each until outputs are compared again."""
+    spans = [(gap.begin_ns, min(gap.until_ns, report.end_ns)) for gap in report.gaps]
+    longest = sorted(spans, key=lambda span: span[0] - span[1])[:LONGEST]
     words = []
-    for gap in sorted(longest, key=lambda gap: gap.begin_ns):
-        begin, end = (f"{at_ns * 1e-9:.1f}" for at_ns in (gap.begin_ns, gap.end_ns))
+    for span in sorted(longest):
+        begin, end = (f"{at_ns * 1e-9:.1f}" for at_ns in span)
         words.append(f"{begin} s" if begin == end else f"{begin}-{end} s")
-    shorter = len(gaps) - len(words)
+    shorter = len(spans) - len(words)
     return ", ".join(words) + (f" and {shorter} shorter ones" if shorter else "")

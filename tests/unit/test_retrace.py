@@ -134,6 +134,21 @@ def test_what_is_written_late_is_heard_all_the_same() -> None:
     assert check(entries).exact
 
 
+def test_what_is_written_seconds_late_is_heard_all_the_same() -> None:
+    """A recorder that came up late has what is retained from who keeps it."""
+    entries = recorded(starts=3)
+    _, second, *_ = (n for n, x in enumerate(entries) if isinstance(x.message, m.ChainState))
+    told = entries.pop(second)
+    assert check([*entries, told]).exact
+    assert check(entries).unheard == 1
+
+
+def test_what_a_second_recorder_was_told_again_counts_once() -> None:
+    entries = recorded()
+    (first, *_) = (n for n, x in enumerate(entries) if isinstance(x.message, m.Steps))
+    assert check([*entries[: first + 300], entries[first], *entries[first + 300 :]]).exact
+
+
 def test_a_changed_logic_is_found_out_field_by_field() -> None:
     report = check(recorded(), gain=1.0 + 1e-9)
     assert not report.exact
@@ -182,7 +197,7 @@ def test_what_the_recording_lacks_is_counted() -> None:
     assert 100 < holed.left_out < 130
     assert (holed.silent, holed.untold) == (0, 0)
     assert not holed.exact, "its sum lacks what it heard meanwhile"
-    assert "the recording has gaps, 0.3-0.8 s" in report_text(holed)
+    assert "the recording has gaps, 0.3-0.9 s" in report_text(holed)
 
     twice = recorded(2)
     starts = [
