@@ -47,13 +47,13 @@ class Plug:
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask the world."""
-        muscle = take_robot(args, args.words)
+        robot, muscle = take_robot(args.robot, args.words)
         try:
             path = None if args.path is None else load_path(str(args.path))
         except SettingsError as error:
             raise UsageError(str(error)) from error
         plug = m.Plug(muscle=muscle, chain=args.chain, path=path, module_id=args.id)
-        return _ask_world(args.robot, plug)
+        return _ask_world(robot, plug)
 
 
 class Unplug:
@@ -71,7 +71,8 @@ class Unplug:
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask the world."""
-        return _ask_world(args.robot, m.Unplug(muscle=take_robot(args, args.words)))
+        robot, muscle = take_robot(args.robot, args.words)
+        return _ask_world(robot, m.Unplug(muscle=muscle))
 
 
 _USUAL = {"corrupt": 0.001, "drop": 0.05, "delay": 0.002, "cable": 0.0, "overheat": 60.0}

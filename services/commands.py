@@ -79,7 +79,8 @@ class Task:
 
     def run(self, args: argparse.Namespace) -> int:
         """Ask the executive."""
-        return request(args.robot, m.Task(name=take_robot(args, args.words)))
+        robot, task = take_robot(args.robot, args.words)
+        return request(robot, m.Task(name=task))
 
 
 class Schema:
@@ -204,7 +205,7 @@ class Identify:
 
     def run(self, args: argparse.Namespace) -> int:
         """Find the module's chain, and ask its driver."""
-        name = take_robot(args, args.words)
+        robot, name = take_robot(args.robot, args.words)
 
         def blink(client: Client) -> int:
             met: dict[str, str] = {}
@@ -223,7 +224,7 @@ class Identify:
             question = m.Identify(chain=met[name], module=name)
             return show(client.ask(question), question)
 
-        return with_robot(args.robot, blink)
+        return with_robot(robot, blink)
 
 
 class Reset:

@@ -60,17 +60,15 @@ def add_robot_argument(parser: argparse.ArgumentParser, *, first: bool = False) 
         completed_by(word, robots)
 
 
-def take_robot(args: argparse.Namespace, words: list[str]) -> str:
-    """Of the words `[ROBOT] WORD`, the last; a word before it is the robot's name.
+def take_robot(option: str, words: list[str]) -> tuple[str, str]:
+    """`[ROBOT] WORD` as robot and word; the robot is that of `--robot` when the words name none.
 
     Raises:
-        UsageError: there are more.
+        UsageError: there are more words.
     """
     if len(words) > 2:
         raise UsageError(f"one word, or a robot's name and one word: not {' '.join(words)!r}")
-    if len(words) == 2:
-        args.robot = words[0]
-    return words[-1]
+    return (words[0] if len(words) == 2 else option), words[-1]
 
 
 @contextlib.contextmanager

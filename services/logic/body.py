@@ -219,6 +219,8 @@ class Body:
     def _why_absent(self, module: m.ModuleInfo | None) -> str:
         if module is None or module.state == "lost":
             return "its module does not answer"
+        if module.state == "joining":
+            return "its wire is wound in anew"
         return f"its module reports {module.fault or module.state}"
 
     def _give_up_on(self, growth: Growth, gone: Mapping[str, str]) -> None:
@@ -255,8 +257,9 @@ class Body:
         )
         if kind == "shrink":
             self._arm.excluded.add(muscle)
-            if not self._is_gone(muscle):  # it is broken: not taken back until it is plugged anew
-                memory.refused.append(muscle)
+            module = self._arm.module(muscle)
+            if module is not None and module.state not in ("lost", "joining"):
+                memory.refused.append(muscle)  # it is broken: not taken back until plugged anew
         memory.growth = record
         self.growth = self._procedure(record)
         words = {"grow": "takes in", "refit": "takes back", "shrink": "goes on without"}[kind]
@@ -340,3 +343,7 @@ class Body:
         self._arm.use(self._arm.served(schema))
         text = f"schema version {message.version} ({message.method}) controls the arm now"
         self._tell("info", "adopted", text, version=str(message.version))
+        growth = self.growth
+        if growth is not None and not growth.expects(message):
+            growth.over = f"version {message.version} was chosen meanwhile"
+            self._end(growth, cancelled=True)

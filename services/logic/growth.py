@@ -87,6 +87,11 @@ class Growth:
         """Motions in all, those for the check included."""
         return self.record.n_new + self.record.n_check
 
+    def expects(self, version: SchemaVersion) -> bool:
+        """Whether this schema in use is the one it began with, or the one that it brought."""
+        began = version.version == self.record.base_version
+        return began or (bool(self.record.job) and version.job == self.record.job)
+
     def receive(self, message: Message) -> None:
         """Candidates, adoptions and progress of this run's job."""
         record = self.record

@@ -105,7 +105,7 @@ class Retrainer:
         if request.action == "list":
             rows = self._versions.rows()
             data = {str(row.version): _words(row) for row in rows}
-            text = f"{len(data)} versions"
+            text = f"{len(data)} version{'s' if len(data) != 1 else ''}"
             data["rows"] = msgspec.json.encode(rows).decode()
             return Reply(ok=True, text=text, data=data)
         if request.action == "rollback":
@@ -222,6 +222,7 @@ class Retrainer:
             return Reply(ok=False, text=f"there is no version {number} to be read, only {known}")
         if version.state not in USABLE:
             return Reply(ok=False, text=f"version {number} was never in use: it is {version.state}")
+        self.cancel()  # what was being learned follows from another version
         self._versions.activate(version)
         self._publish_active()
         text = f"version {number} is in use again"

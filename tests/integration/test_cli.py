@@ -77,6 +77,25 @@ def said(capsys: pytest.CaptureFixture[str], *words: str, code: int = DONE) -> s
     return told.out if code == DONE else told.err
 
 
+@pytest.mark.usefixtures("robot")
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["task", "nosuch", "sweep"],
+        ["plug", "nosuch", "biceps_3"],
+        ["unplug", "nosuch", "biceps_3"],
+        ["identify", "nosuch", "biceps_1"],
+        ["reach", "nosuch", "elbow=45"],
+        ["status", "nosuch"],
+    ],
+)
+def test_another_robots_name_is_not_taken_for_the_only_one(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == NOT_RUNNING
+    assert "'nosuch' is not running" in capsys.readouterr().err
+
+
 def test_any_key_is_echoed_and_what_is_foreign_is_told(
     robot: Robot, capsys: pytest.CaptureFixture[str]
 ) -> None:

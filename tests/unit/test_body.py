@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import msgspec
 import pytest
 
 from runtime.logic import MemoryStore
-from runtime.messages import ChainBody, ModuleInfo, TrainingProgress
+from runtime.messages import ChainBody, ModuleInfo, SchemaVersion, TrainingProgress
 from services.logic.body import LOST_S, TORN_S, Body
 from services.logic.memory import Notebook
 from tests.unit.arm_bench import DT_S, SETTINGS, Bench
+from tests.unit.schemas import untrained
 
 GUEST = "biceps_3"
 SERIAL = 50
@@ -93,6 +95,39 @@ def test_a_muscle_without_service_for_long_shrinks_the_body(state: str) -> None:
     growth = robot.body.growth
     assert growth is not None and growth.record.muscles == ("triceps", "biceps_2")
     assert robot.bench.arm.excluded == {"biceps_1"}
+
+
+def test_a_muscle_that_was_plugged_in_again_at_once_is_not_taken_for_broken() -> None:
+    """Its wire is wound in anew, so that its zero is another: shrunk away, then taken back."""
+    robot = Watched()
+    robot.modules["biceps_1"] = ("joining", 51)
+    robot.watch(LOST_S + 0.05)
+    assert robot.growing()[:2] == ("shrink", "biceps_1")
+    assert robot.notebook.memory.refused == []
+
+
+def test_a_version_that_is_chosen_meanwhile_ends_the_growth() -> None:
+    robot = Watched()
+    robot.modules[GUEST] = ("up", 77)
+    robot.watch()
+    schema = untrained(SETTINGS.muscles, SETTINGS.joints)
+    chosen = SchemaVersion(
+        version=7,
+        joints=schema.joints,
+        muscles=schema.muscles,
+        method="shipped",
+        data=schema.to_bytes(),
+    )
+    growth = robot.body.growth
+    assert growth is not None
+    growth.record.base_version, growth.record.job = 7, "mine"
+    robot.body.receive(chosen)
+    assert robot.growing()[0] == "grow", "it began with that one"
+    robot.body.receive(msgspec.structs.replace(chosen, version=8, job="mine"))
+    assert robot.growing()[0] == "grow", "it brought that one"
+    robot.body.receive(msgspec.structs.replace(chosen, version=6))
+    assert robot.growing() == NOTHING
+    assert robot.events[-1] == "grow_failed"
 
 
 def test_a_short_absence_is_no_loss() -> None:
