@@ -19,7 +19,6 @@ from runtime.settings import RobotSettings
 FAST_NS = 10_000_000
 SLOW_NS = 1_000_000_000
 STALE_NS = 500_000_000  # who was silent for this long reads NaN
-LIMIT_FROM = 0.5  # of the tension limit: below, its line would only flatten the others
 ODD_ANOMALY = 3.0
 FREE_SLOTS = 12  # for muscles that are plugged while the robot runs
 MAX_PROCESSES = 24
@@ -148,9 +147,7 @@ class Plots:
             rows.put(estimate.muscles, self._length_errors_m(estimate), _ERROR)
             rows.put(estimate.muscles, estimate.anomaly, _ANOMALY)
         self._sample_by_chain("/role", chains, [chain.tension_n for chain in chains], stamp_ns)
-        greatest_n = max((max(chain.tension_n, default=0.0) for chain in chains), default=0.0)
-        near = greatest_n > LIMIT_FROM * self._limit_n
-        self._add("/limit/tension", stamp_ns, self._limit_n if near else math.nan)
+        self._add("/limit/tension", stamp_ns, self._limit_n)
         degc = [chain.temperature_degc for chain in chains]
         self._sample_by_chain("/temperature", chains, degc, stamp_ns)
         self._add("/limit/temperature", stamp_ns, self._limit_degc)

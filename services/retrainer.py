@@ -11,11 +11,10 @@ from services.logic.retrainer import Retrainer
 
 def main(launch: Launch) -> None:
     """Run the retrainer of one robot; one thread beside it learns."""
-    file = launch.settings.schema_file
+    settings, learner = launch.settings, ThreadPoolExecutor(1, "learner")
+    file = settings.schema_file
     shipped = file.read_bytes() if file is not None and file.exists() else None
-    learner = ThreadPoolExecutor(1, "learner")
-
-    retrainer = Retrainer(launch.settings, launch.store, shipped, learner.submit, time.perf_counter)
+    retrainer = Retrainer(settings, launch.store, shipped, learner.submit, time.perf_counter)
     try:
         launch.run(retrainer)
     finally:

@@ -41,7 +41,7 @@ FADE_S = 0.8
 FELT_S = 0.1  # time constant of what the model is found to be off by
 CORRECT_S = 0.5  # in which that comes into effect, or goes
 WIND_IN_M_S = 0.03  # a wire that hangs slack meanwhile
-NO_SCHEMA = "waiting for a body schema"
+NO_SCHEMA = "waiting for a body schema: 'myograft learn' makes one"
 
 
 class Arm:

@@ -28,6 +28,7 @@ from runtime.messages import (
     VersionRow,
 )
 from runtime.settings import RobotSettings
+from runtime.settings_file import shown
 from services.body_schema.growth import permuted
 from services.body_schema.motions import TrainingError
 from services.body_schema.schema import Schema, SchemaError
@@ -86,7 +87,10 @@ class Retrainer:
             _event("warning", "schema_corrupt", text) for text in self._versions.complaints
         ]
         if self._versions.active is None:
-            self._out.append(_event("warning", "no_schema", "this robot has no body schema yet"))
+            file = settings.schema_file
+            lacks = f": {shown(file)} does not exist" if file is not None and not shipped else ""
+            text = f"this robot has no body schema yet{lacks}; 'myograft learn' makes one"
+            self._out.append(_event("warning", "no_schema", text))
         self._publish_active()
 
     # ── in ────────────────────────────────────────────────────────────────────────────────────

@@ -12,6 +12,7 @@ from services.logic.arm import (
     FADE_S,
     FELT_S,
     LEASE_NS,
+    NO_SCHEMA,
     STALE_NS,
     WIND_IN_M_S,
     Arm,
@@ -42,7 +43,7 @@ def test_what_is_missing_is_said_in_words() -> None:
     arm.receive(
         JointState(stamp_ns=bench.now_ns, source="arm", joints=("elbow",), angle_rad=(0.5,))
     )
-    assert arm.silent(bench.now_ns) == "waiting for a body schema"
+    assert arm.silent(bench.now_ns) == NO_SCHEMA
     arm.use(shipped())
     assert arm.silent(bench.now_ns) == ""
     assert arm.silent(bench.now_ns + STALE_NS) == ""

@@ -12,7 +12,7 @@ import pytest
 
 from runtime import messages as m
 from runtime.logic import MemoryStore
-from runtime.settings import Control, Growth, Robot, RobotSettings
+from runtime.settings import Control, Growth, Robot, RobotSettings, load_robot
 from services.body_schema import train
 from services.body_schema.schema import Schema
 from services.logic.retrainer import Retrainer, _words
@@ -108,9 +108,10 @@ def test_the_shipped_schema_is_published_at_once(store: MemoryStore) -> None:
 
 
 def test_without_any_schema_it_says_so() -> None:
-    (event,) = out(Retrainer(SETTINGS, MemoryStore(), None, Later()))
+    (event,) = out(Retrainer(load_robot("elbow"), MemoryStore(), None, Later()))
     assert isinstance(event, m.Event)
     assert event.kind == "no_schema"
+    assert "elbow.safetensors does not exist" in event.text
 
 
 def test_a_job_ends_in_a_candidate_that_nobody_uses_yet(store: MemoryStore) -> None:
