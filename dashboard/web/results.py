@@ -50,12 +50,12 @@ def missing_folders(settings: RobotSettings) -> list[Path]:
 
 
 def find(folders: tuple[Path, ...]) -> dict[str, Findings]:
-    """All results by name; of two of one name the first counts."""
+    """All results by name, those with pictures first; of two of one name the first counts."""
     found: dict[str, Findings] = {}
     for folder in folders:
         for one in _in_folder(folder):
             found.setdefault(one.name, one)
-    return found
+    return dict(sorted(found.items(), key=lambda item: not item[1].pictures))
 
 
 def read(one: Findings) -> dict[str, Any]:

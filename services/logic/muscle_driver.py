@@ -104,6 +104,8 @@ class MuscleDriver:
         self._gate.forget()
         self._urgent = True
         if isinstance(request, m.Reset):
+            if self.roster.stopped:
+                self._event("info", "reset", f"chain {self.chain} is no longer stopped: it holds")
             return self._stopping.reset(self.chain)
         assert isinstance(request, m.Estop)
         text = f"stop on chain {self.chain}: {request.reason or 'no reason given'}"

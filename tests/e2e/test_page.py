@@ -213,7 +213,7 @@ def test_the_key_stops_the_arm_and_reset_lets_it_hold(
     expect(page.locator("#detail")).to_contain_text("Reset: hold where the arm is")
     for name in ("hold", "Go there", "Relearn"):
         expect(page.get_by_role("button", name=name, exact=True)).to_be_disabled()
-    page.get_by_role("button", name="Reset").click()
+    page.get_by_role("alert").get_by_role("button", name="Reset").click()
     expect(page.locator("#answers .good").last).to_contain_text("holds where it is")
     expect(page.locator("#stage")).to_have_text("hold")
     expect(page.locator("#alarm")).to_be_empty()

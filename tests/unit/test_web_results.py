@@ -63,7 +63,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_both_kinds_are_found(folder: Path) -> None:
     found = find((folder, folder / "nowhere"))
-    assert list(found) == ["arm-quick", "broken", "elbow-b", "elbow"]
+    assert list(found) == ["arm-quick", "elbow-b", "elbow", "broken"]
     assert list(found["arm-quick"].pictures) == ["arm-norm.png"]
     assert list(found["elbow"].pictures) == ["elbow-paper.svg"]
     assert list(found["elbow-b"].pictures) == ["elbow-b-paper.svg"]
@@ -117,7 +117,7 @@ def test_the_terminal_shows_the_same(
         told = capsys.readouterr()
         return told.err if code else told.out
 
-    assert said().split()[:4] == ["arm-quick", "broken", "elbow-b", "elbow"]
+    assert said().split()[:3] == ["arm-quick", "elbow-b", "elbow"]
     lines = said("elbow").splitlines()
     assert lines[0] == "E_theta [rad] · clean · control paper"
     assert [line.split() for line in lines[1:3]] == [
@@ -142,7 +142,7 @@ def test_folders_of_the_robot_file_come_first(folder: Path) -> None:
 def test_over_the_page(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     with served(tmp_path_factory.mktemp("run"), folders=(folder,)) as page:
         names = [row["name"] for row in page.get("/api/results").json]
-        assert names == ["arm-quick", "broken", "elbow-b", "elbow"]
+        assert names == ["arm-quick", "elbow-b", "elbow", "broken"]
         assert len(page.get("/api/results/elbow").json["tables"]) == 2
         picture = page.get("/api/results/arm-quick/arm-norm.png")
         assert (picture.status, picture.body) == (200, PIXEL)

@@ -129,11 +129,12 @@ function alarm() {
     serverLost && ["bad", `The page's server does not answer. What stands here is old; trying again. To stop the robot: ${BY_COMMAND}`],
     !serverLost && !supervised && ["bad", "The robot is not running any more, or its supervisor has fallen silent. What stands here is old."],
     named("stopping") && ["bad", `Stopping: the wires of chain ${named("stopping")} pay out.`],
-    named("stopped") && ["bad", `Stopped and latched: all wires of chain ${named("stopped")} are slack. Reset lets the arm hold where it is.`],
+    named("stopped") && ["bad", `Stopped and latched: all wires of chain ${named("stopped")} are slack.`, "Reset: hold here"],
     !serverLost && named("silent") && ["amber", `Chain ${named("silent")} is silent: its readings are old.`],
   ].filter(Boolean);
   byId("reset").classList.toggle("main", Object.values(modes).includes("stopped"));
-  keyed(byId("alarm"), all, ([, text]) => text, ([kind, text]) => el("p", { class: kind }, text), () => {});
+  const reset = (words) => el("button", { type: "button", click: () => ask("reset", {}, "Reset") }, words);
+  keyed(byId("alarm"), all, ([, text]) => text, ([kind, text, act]) => el("p", { class: kind }, text, ...(act ? [reset(act)] : [])), () => {});
 }
 
 controls.setUp();
