@@ -8,6 +8,7 @@ import time
 from rich import box
 from rich.console import Console, ConsoleRenderable, Group
 from rich.live import Live
+from rich.segment import SegmentLines
 from rich.table import Table
 from rich.text import Text
 
@@ -20,6 +21,7 @@ PERIOD_S = 0.25
 SILENT_S = 2.5  # the supervisor and every process speak once a second
 BAR = 12  # characters
 WIDE = 150  # characters: then processes stand beside modules
+NARROW = 100  # and with fewer than these there is no room for bars and link errors
 _LEVELS = {"info": "", "warning": "yellow", "error": "bold red"}
 _MODES = {"silent": "bold red", "stopping": "bold red", "stopped": "bold red"}
 _STATES = {"ready": "green", "up": "green", "starting": "yellow", "joining": "yellow"}
@@ -39,22 +41,33 @@ def watch(client: Client, picture: Picture) -> int:
         try:
             while client.alive:
                 client.gather(take, PERIOD_S)
-                wide = live.console.width >= WIDE
-                live.update(render(picture, time.monotonic() - heard_s, wide), refresh=True)
+                screen = render(picture, live.console.width, time.monotonic() - heard_s)
+                live.update(fitted(screen, live.console), refresh=True)
         except KeyboardInterrupt:
             return DONE
     Console(stderr=True).print(f"{client.robot} has stopped", highlight=False)
     return NOT_RUNNING
 
 
-def render(picture: Picture, silent_s: float = 0.0, wide: bool = False) -> ConsoleRenderable:
-    """The whole picture; `silent_s` since anything was heard, in two columns if `wide`."""
-    modules, rest = _modules(picture), _apart(_joints(picture), _processes(picture))
+def render(picture: Picture, width: int = WIDE - 1, silent_s: float = 0.0) -> ConsoleRenderable:
+    """The whole picture for so many characters; `silent_s` since anything was heard."""
+    modules = _modules(picture, room=width >= NARROW)
+    rest = _apart(_joints(picture), _processes(picture))
     body: ConsoleRenderable = _apart(modules, rest)
-    if wide:
+    if width >= WIDE:
         body = Table.grid(padding=(0, 4))
         body.add_row(modules, rest)
     return _apart(_headline(picture, silent_s), body, _events(picture))
+
+
+def fitted(screen: ConsoleRenderable, console: Console) -> ConsoleRenderable:
+    """As much of it as there are lines, and how many more there would be."""
+    lines = console.render_lines(screen, pad=False)
+    more = len(lines) - console.height
+    if more <= 0:
+        return screen
+    shown = SegmentLines(lines[: console.height - 1], new_lines=True)
+    return Group(shown, Text(f"{more + 1} more lines: they want a taller terminal", "dim"))
 
 
 def _apart(first: ConsoleRenderable, *others: ConsoleRenderable) -> Group:
@@ -91,9 +104,9 @@ def _headline(picture: Picture, silent_s: float) -> ConsoleRenderable:
     return line
 
 
-def _modules(picture: Picture) -> Table:
-    columns = ("chain", "does", "id>", "module", "N>", "of limit", "", "°C>", "errors>", "state")
-    table = _table(*columns)
+def _modules(picture: Picture, room: bool) -> Table:
+    loads, errors = (("of limit", ""), ("errors>",)) if room else ((), ())
+    table = _table("chain", "does", "id>", "module", "N>", *loads, "°C>", *errors, "state")
     modes = {row["chain"]: str(row["mode"]) for row in picture.chains()}
     for row in picture.modules():
         limit = row["limit_N"]
@@ -109,10 +122,9 @@ def _modules(picture: Picture) -> Table:
             str(row["id"]),
             Text(str(row["module"]), "bold" if row["kind"] == "muscle" else ""),
             _number(tension),
-            load,
-            Text(most, "dim"),
+            *((load, Text(most, "dim")) if room else ()),
             _number(row["degC"]),
-            str(row["link_errors"] or ""),
+            *((str(row["link_errors"] or ""),) if room else ()),
             Text(standing or state, "yellow" if standing else _STATES.get(state, "bold red")),
         )
     return table

@@ -212,7 +212,7 @@ class Picture:
         """One row a chain, and what its driver does with it; `silent` if nothing is felt there."""
         now_s = time.monotonic()
         rows: list[Row] = []
-        for chain in {**self.bodies, **self.states}:
+        for chain in sorted({**self.bodies, **self.states}):
             heard = now_s - self._felt_s.get(chain, -SILENT_S) < SILENT_S
             rows.append({"chain": chain, "mode": self.states[chain].mode if heard else "silent"})
         return rows
@@ -241,7 +241,7 @@ class Picture:
         return self.estimate
 
     def modules(self) -> list[Row]:
-        """One row a module, in the order of the chains."""
+        """One row a module, chain by chain, in the order in which they are strung."""
         return [
             {
                 "module": module.name or "(new)",
@@ -256,7 +256,7 @@ class Picture:
                 "state": f"{module.state} {module.fault}".strip(),
                 "standing": self.growing.standing(module),
             }
-            for body in self.bodies.values()
+            for _, body in sorted(self.bodies.items())
             for module in body.modules
         ]
 

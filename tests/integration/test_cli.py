@@ -19,7 +19,7 @@ from rich.console import Console
 from runtime import messages as m
 from runtime.bus import Bus
 from runtime.cli.client import connect
-from runtime.cli.live_status import WIDE, render
+from runtime.cli.live_status import render
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, USAGE, main
 from runtime.cli.status import Picture
 from runtime.hubs import Claim, Hub, find_hub, free_endpoint
@@ -178,7 +178,7 @@ def test_the_live_table_shows_what_matters(robot: Robot) -> None:
 def shown(picture: Picture, width: int) -> str:
     console = Console(width=width, file=io.StringIO())
     with console.capture() as capture:
-        console.print(render(picture, silent_s=4.0, wide=width >= WIDE))
+        console.print(render(picture, width, silent_s=4.0))
     return capture.get()
 
 

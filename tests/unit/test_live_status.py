@@ -12,7 +12,7 @@ pytest.importorskip("rich", reason="needs the extra myograft[view]")
 from rich.console import Console
 
 from runtime import messages as m
-from runtime.cli.live_status import render
+from runtime.cli.live_status import fitted, render
 from runtime.cli.status import SILENT_S, Picture
 
 SECOND = 1_000_000_000
@@ -81,6 +81,39 @@ def test_who_leaves_and_who_is_outside_is_said() -> None:
         "3 being left out",
         "4 not in the schema",
     ]
+
+
+def test_a_large_robot_fits_a_small_terminal() -> None:
+    """Its numbers whole, and what there is no room for is counted."""
+    seen = Picture("musashi_w")
+    for chain in ("right_shoulder", "left_shoulder"):
+        names = tuple(f"{chain}_pitch_{n}" for n in range(20))
+        rows = tuple(
+            m.ModuleInfo(name=name, kind="muscle", module_id=n, serial=n, state="up")
+            for n, name in enumerate(names)
+        )
+        seen.take(m.ChainBody(chain=chain, modules=rows))
+        count = len(names)
+        felt = m.ChainState(
+            stamp_ns=1,
+            chain=chain,
+            muscles=names,
+            length_m=(0.0,) * count,
+            tension_n=(123.4,) * count,
+            temperature_degc=(67.8,) * count,
+            target_length_m=(0.0,) * count,
+            mode="follow",
+        )
+        seen.take(felt)
+    console = Console(width=80, height=24, file=io.StringIO())
+    with console.capture() as capture:
+        console.print(fitted(render(seen, 80), console))
+    lines = capture.get().splitlines()
+    assert len(lines) == 24
+    assert "more lines" in lines[-1]
+    (first, *_) = (line.split() for line in lines if "pitch_0" in line)
+    assert first[:2] == ["left_shoulder", "follow"]
+    assert first[-3:] == ["123.4", "67.8", "up"]
 
 
 def test_the_reason_and_what_a_chain_does_is_said() -> None:
