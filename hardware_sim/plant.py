@@ -28,6 +28,7 @@ from runtime.coordinates import Coordinates
 from runtime.messages import MusclePath, Place
 from runtime.muscle_path import path_of_tendon
 from runtime.settings import RobotSettings
+from runtime.suggestion import suggestion
 
 DT_S = 0.001
 START_TENSION_N = 8.0
@@ -334,9 +335,11 @@ class Plant:
         geoms = {geom.name for geom in self._spec.geoms}
         for place in places:
             if place.wrap and place.wrap not in geoms:
-                raise ValueError(f"no geom '{place.wrap}' to wrap around on this body")
+                hint = suggestion(place.wrap, geoms - {""})
+                raise ValueError(f"no geom '{place.wrap}' to wrap around on this body{hint}")
             if not place.wrap and (place.link not in bodies or place.position_m is None):
-                raise ValueError(f"no link '{place.link}' with a position on this body")
+                hint = suggestion(place.link, bodies - {"world", ""})
+                raise ValueError(f"no link '{place.link}' with a position on this body{hint}")
 
     def _assembly_error(self, rng: np.random.Generator) -> Array:
         return rng.normal(0.0, self.simulation.assembly_error_m / np.sqrt(3.0), 3)

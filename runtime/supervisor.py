@@ -279,7 +279,7 @@ class Group:
 
     def _watch_stop(self, state: ExecutiveState) -> None:
         stopped = state.stage == "stopped"
-        if stopped and not self._stopped:
+        if stopped and not self._stopped and self._running:
             name = self.settings.name
             self._tell_person(f"{name}: stopped; `myograft reset` lets it hold where it is")
         self._stopped = stopped

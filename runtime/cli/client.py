@@ -103,8 +103,8 @@ def show(replies: list[Reply], message: Message, whose: str = "") -> int:
     if not replies:
         word = type(message).__name__.lower()
         print(
-            f"myograft: {whose}nobody answered {word!r}: its process is not running or not ready. "
-            f"See: myograft status",
+            f"myograft: {whose}nobody answered {word!r}: its process is not running or not ready, "
+            f"or this is a recording being played. See: myograft status",
             file=sys.stderr,
         )
         return REFUSED

@@ -14,7 +14,7 @@ from pathlib import Path
 from runtime.cli.client import add_robot_argument
 from runtime.cli.completion import completed_by, robots
 from runtime.cli.main import DONE, NOT_RUNNING, REFUSED, USAGE
-from runtime.hubs import Hub, HubError, find_hub, living_hubs, set_state_aside
+from runtime.hubs import Hub, HubError, find_hub, living_hubs, robot_home, set_state_aside
 from runtime.manifest import can_serve_page, can_view
 from runtime.settings import SettingsError, load_robot
 from runtime.supervisor import MEND, Group
@@ -79,6 +79,8 @@ class Up:
                     run_dir = run_dir / settings.name
                 if args.fresh:
                     set_state_aside(settings.name)
+                elif (robot_home(settings.name) / "state").exists():
+                    print(f"{settings.name}: goes on as it was left; --fresh begins as built")
                 groups.append(
                     Group(
                         settings,

@@ -339,11 +339,25 @@ class Body:
         except SchemaError as error:
             self._tell("error", "schema_bad", f"schema version {message.version}: {error}")
             return
+        growth, former = self.growth, self._arm.schema
+        chosen = growth is None or not growth.expects(message)
         self.schema_version = message.version
         self._arm.use(self._arm.served(schema))
         text = f"schema version {message.version} ({message.method}) controls the arm now"
         self._tell("info", "adopted", text, version=str(message.version))
-        growth = self.growth
-        if growth is not None and not growth.expects(message):
+        if chosen and growth is not None:
             growth.over = f"version {message.version} was chosen meanwhile"
             self._end(growth, cancelled=True)
+        if chosen and former is not None:
+            self._leave_out([name for name in former.muscles if name not in schema.muscles])
+
+    def _leave_out(self, muscles: list[str]) -> None:
+        """A person went back to a schema without these: they wait until they are plugged anew."""
+        refused = self._notebook.memory.refused
+        for name in muscles:
+            if name not in refused and not self._is_gone(name):
+                refused.append(name)
+                text = f"'{name}' stays outside of the chosen schema; to take it in again: "
+                text += f"myograft unplug {name} && myograft plug {name}"
+                self._tell("info", "left_out", text, muscle=name)
+        self._notebook.save()

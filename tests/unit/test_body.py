@@ -130,6 +130,30 @@ def test_a_version_that_is_chosen_meanwhile_ends_the_growth() -> None:
     assert robot.events[-1] == "grow_failed"
 
 
+def test_a_muscle_that_a_chosen_version_lacks_waits_until_it_is_plugged_anew() -> None:
+    robot = Watched()
+    fewer = untrained(SETTINGS.muscles[:2], SETTINGS.joints)
+    chosen = SchemaVersion(
+        version=9,
+        joints=fewer.joints,
+        muscles=fewer.muscles,
+        method="shrink",
+        data=fewer.to_bytes(),
+    )
+    robot.watch(0.1)
+    robot.body.receive(chosen)
+    robot.watch(2.0)
+    last = SETTINGS.muscles[2]
+    assert robot.growing() == NOTHING
+    assert robot.notebook.memory.refused == [last]
+    assert robot.events[-1] == "left_out"
+    module = robot.modules.pop(last)
+    robot.watch()
+    robot.modules[last] = module
+    robot.watch()
+    assert robot.growing()[:2] == ("refit", last)
+
+
 def test_a_short_absence_is_no_loss() -> None:
     robot = Watched()
     for _ in range(5):
