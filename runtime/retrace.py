@@ -18,7 +18,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from typing import Any, NamedTuple, Protocol
@@ -90,6 +90,11 @@ class Report:
         return self.compared > 0 and self.equal == self.compared and not self.odd
 
     @property
+    def enough(self) -> bool:
+        """More was compared than was left out."""
+        return self.compared > self.left_out
+
+    @property
     def odd(self) -> int:
         """Outputs that only one side has, though the recording lacks nothing there."""
         return self.silent + self.invented
@@ -129,9 +134,9 @@ class _Tracer:
         self._next = 0  # how many steps of this start of the process are known
         self._spans: list[tuple[int, int]] = []  # robot time of which all steps are known
         self._astray = False  # in a gap, or not yet found back from one
-        self._inputs: dict[str, dict[int, Message]] = {}
-        self._outputs: dict[Output, Message] = {}  # recorded, not said yet
-        self._said: dict[Output, Message] = {}  # said, not recorded yet: it may be written late
+        self._inputs: dict[str, dict[int, list[Message]]] = {}
+        self._outputs = _Waiting()  # recorded, not said yet
+        self._said = _Waiting()  # said, not recorded yet: it may be written late
 
     def take(self, entry: Entry) -> None:
         _, key, message = entry
@@ -145,7 +150,7 @@ class _Tracer:
             self._take_output((type(message).__name__, message.stamp_ns), message)
         elif type(message) in self._logic.inputs:
             kept = self._inputs.setdefault(key.partition("/")[2], {})
-            kept[message.stamp_ns] = message
+            kept.setdefault(message.stamp_ns, []).append(message)
             if len(kept) > KEPT:
                 del kept[next(iter(kept))]
 
@@ -164,9 +169,9 @@ class _Tracer:
         return report
 
     def _take_output(self, output: Output, recorded: Message) -> None:
-        said = self._said.pop(output, None)
+        said = self._said.pop(output)
         if said is None:
-            self._outputs[output] = recorded
+            self._outputs.put(output, recorded)
         elif self._in_gap(recorded.stamp_ns):
             self._report.left_out += 1
         else:
@@ -217,13 +222,13 @@ class _Tracer:
                     self._hear(said, now_ns)
 
     def _receive(self, key: str, stamp_ns: int, now_ns: int) -> None:
-        message = self._inputs.get(key, {}).get(stamp_ns)
-        if message is None:
+        told = self._inputs.get(key, {}).get(stamp_ns)
+        if told is None:
             self._report.unheard += 1
             self._lack(now_ns, now_ns)
             return
-        try:
-            self._logic.receive(message, now_ns)
+        try:  # two may have one stamp, where robot time stood still
+            self._logic.receive(told.pop(0) if len(told) > 1 else told[0], now_ns)
         except Exception as error:  # as in the live loop, it costs this message
             log.warning("%s could not take %s: %r", self._report.process, key, error)
 
@@ -241,13 +246,14 @@ class _Tracer:
 
     def _hear(self, said: Message, now_ns: int) -> None:
         output = (type(said).__name__, said.stamp_ns)
-        recorded = self._outputs.pop(output, None)
+        recorded = self._outputs.pop(output)
         if recorded is None:
-            self._said[output] = said
-        elif self._astray and now_ns - self._report.gaps[-1].end_ns <= LATE_NS:
+            self._said.put(output, said)
+        elif self._astray:
             self._report.left_out += 1
+            if now_ns - self._report.gaps[-1].end_ns > LATE_NS:
+                self._found_back(said.stamp_ns + 1)  # this one may still lack something
         else:
-            self._found_back(said.stamp_ns)
             self._compare(said, recorded)
 
     def _compare(self, said: Message, recorded: Message) -> None:
@@ -263,6 +269,29 @@ class _Tracer:
             former = report.differences.get(f"{kind}.{name}", Difference(0.0, 0, 0))
             worst = max(former, Difference(distance, said.stamp_ns, 0))
             report.differences[f"{kind}.{name}"] = worst._replace(messages=former.messages + 1)
+
+
+class _Waiting:
+    """Messages by name and stamp; of those of one stamp the first comes out first."""
+
+    def __init__(self) -> None:
+        self._messages: dict[Output, list[Message]] = {}
+
+    def put(self, output: Output, message: Message) -> None:
+        self._messages.setdefault(output, []).append(message)
+
+    def pop(self, output: Output) -> Message | None:
+        waiting = self._messages.get(output)
+        if waiting is None:
+            return None
+        first = waiting.pop(0)
+        if not waiting:
+            del self._messages[output]
+        return first
+
+    def __iter__(self) -> Iterator[Output]:
+        for output, waiting in self._messages.items():
+            yield from [output] * len(waiting)
 
 
 def _whole(steps: Steps) -> bool:

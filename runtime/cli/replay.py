@@ -246,8 +246,8 @@ def _check(args: argparse.Namespace, files: list[Path], about: About) -> int:
         raise UsageError(str(error)) from error
     report = retrace(args.check, lambda: known[args.check](settings), read_all(files))
     print(report_text(report))
-    enough = report.compared > report.left_out
-    return DONE if enough and (report.exact or report.within(args.tolerance)) else REFUSED
+    same = report.exact or report.within(args.tolerance)
+    return DONE if same and report.enough else REFUSED
 
 
 def report_text(report: Report) -> str:
@@ -269,6 +269,8 @@ def report_text(report: Report) -> str:
     changed = "though the recording lacks nothing there: the code, or the robot file, has changed"
     started = ", ".join(f"{at_ns * 1e-9:.1f}" for at_ns in report.started_ns)
     left_out = f"{report.left_out} recorded outputs in gaps are left out"
+    if not report.enough:
+        left_out += ", more than were compared: that says too little"
     counts = {
         f"{report.silent} recorded outputs it does not give again, {changed}": report.silent,
         f"{report.invented} outputs that are not on record, {changed}": report.invented,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections import deque
@@ -171,6 +172,8 @@ class Picture:
         if modules := self.modules():
             told = [{**row, "state": row["standing"] or row["state"]} for row in modules]
             lines += ["", *_table("module kind chain id serial N degC link_errors state", told)]
+        if joints := self.joints():
+            lines += ["", *_table("joint wanted_deg measured_deg by_muscles_deg", _degrees(joints))]
         return "\n".join(lines)
 
     def _headline(self) -> str:
@@ -270,6 +273,17 @@ class Picture:
 
 def _by_joint(told: m.ExecutiveState | m.JointEstimate | None, name: str) -> dict[str, float]:
     return dict(zip(told.joints, getattr(told, name), strict=False)) if told else {}
+
+
+def _degrees(joints: list[Row]) -> list[Row]:
+    """Angles as a person reads them."""
+    columns = {"wanted": "wanted_rad", "measured": "measured_rad", "by_muscles": "estimated_rad"}
+    rows: list[Row] = []
+    for row in joints:
+        angles = {f"{name}_deg": row[column] for name, column in columns.items()}
+        known = {k: f"{math.degrees(x):.1f}" for k, x in angles.items() if isinstance(x, float)}
+        rows.append({"joint": row["joint"], **dict.fromkeys(angles), **known})
+    return rows
 
 
 def _table(columns: str, rows: list[Row]) -> list[str]:

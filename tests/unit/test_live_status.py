@@ -127,6 +127,8 @@ def test_status_says_the_same_once_and_to_programs() -> None:
     text = seen.as_text().splitlines()
     assert text[1] == "waiting for the retrainer"
     assert "chain arm: stopping" in text
+    *_, joint = (line.split() for line in text if line.startswith("elbow "))
+    assert joint[0] == "elbow" and len(joint) == 4, "wanted, measured and estimated, in degrees"
     assert [line.split()[-1] for line in text if line.startswith("biceps_3")] == ["schema"]
     told = json.loads(json.dumps(seen.as_dict()))
     assert told["text"] == "waiting for the retrainer"

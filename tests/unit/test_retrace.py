@@ -149,6 +149,24 @@ def test_what_a_second_recorder_was_told_again_counts_once() -> None:
     assert check([*entries[: first + 300], entries[first], *entries[first + 300 :]]).exact
 
 
+def test_two_of_one_stamp_are_told_apart() -> None:
+    """Robot time may stand still where a machine is too slow."""
+    messages: list[Message] = []
+    logic, steps = Summing(), StepLog(ROBOT, "adder")
+    for length_m in (1.0, 2.0, 3.0):
+        told = msgspec.structs.replace(state(TICK_NS), length_m=(length_m,))
+        steps.take(told)
+        logic.receive(told, TICK_NS)
+        messages += [told, *logic.tick(TICK_NS)]
+        assert steps.act(TICK_NS) is None
+    rest = steps.rest()
+    assert rest is not None
+    messages.append(rest)
+    report = check([Entry(n, key_of(ROBOT, x), x) for n, x in enumerate(messages)])
+    assert report.exact
+    assert report.compared == 3
+
+
 def test_a_changed_logic_is_found_out_field_by_field() -> None:
     report = check(recorded(), gain=1.0 + 1e-9)
     assert not report.exact
