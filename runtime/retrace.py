@@ -130,7 +130,7 @@ class _Tracer:
         self._logic = make()
         self._report = Report(process)
         self._due: deque[Steps] = deque()
-        self._told_ns = -1  # the last step of which the process told
+        self._told = (-1, -1)  # when the last step was of which the process told, and its number
         self._next = 0  # how many steps of this start of the process are known
         self._spans: list[tuple[int, int]] = []  # robot time of which all steps are known
         self._astray = False  # in a gap, or not yet found back from one
@@ -142,8 +142,8 @@ class _Tracer:
         _, key, message = entry
         if isinstance(message, Steps):
             ours = message.process == self._report.process and _whole(message)
-            if ours and message.tick_ns[-1] > self._told_ns:  # a recorder's second life hears again
-                self._told_ns = message.tick_ns[-1]
+            if ours and (told := (message.tick_ns[-1], message.begin)) > self._told:
+                self._told = told  # a recorder's second life is told again
                 self._due.append(message)
                 self._walk_what_is_known()
         elif type(message) in self._logic.outputs:
