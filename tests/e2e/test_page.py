@@ -286,12 +286,13 @@ def test_results_are_shown_and_the_stop_is_there_too(
 ) -> None:
     """However many pages are open: a browser has six connections to one server."""
     context = browser.new_context(viewport=WIDE)  # type: ignore[arg-type]
+    page = context.new_page()
+    page.goto(f"{address}/results#lift")
+    expect(page.locator("#stage")).to_have_text("seat: hold")
     pages = [context.new_page() for _ in range(6)]
     for each in pages:
         each.goto(address)
         expect(each.locator("#stage")).to_have_text("hold")
-    page = context.new_page()
-    page.goto(f"{address}/results#lift")
     expect(page.locator("#tables table").first).to_contain_text("before")
     expect(page.locator("#pictures img").first).to_be_visible()
     page.screenshot(path=shots / "results.png")
@@ -300,6 +301,7 @@ def test_results_are_shown_and_the_stop_is_there_too(
     page.keyboard.press("Escape")
     robot.watch.wait_for(m.ChainState, lambda x: x.mode == "stopping", since=since)
     expect(page.locator("#answers .good")).to_contain_text("pay out until slack")
+    expect(page.locator("#stage")).to_have_text("seat: stopped")
     for each in pages:
         expect(each.locator("#stage")).to_have_text("stopped")
     context.close()

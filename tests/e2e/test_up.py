@@ -49,6 +49,9 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
                 endpoint = find_hub(name).endpoint
                 buses[name] = stack.enter_context(Bus(name, "test", endpoint=endpoint))
                 watches[name] = stack.enter_context(Watch(buses[name]))
+            for watch in watches.values():  # who comes late is linked with one after the other
+                for kind in (m.WorldTruth, m.ChainState, m.GroupState, m.ExecutiveState):
+                    watch.wait_for(kind, since=0)
             yield Fleet(up, buses, watches)
     finally:
         up.end()

@@ -1,6 +1,7 @@
-// Tables and pictures of one experiment.
+// Tables and pictures of one experiment, and what the robot does meanwhile.
 
 import { byId, el, say } from "./dom.js";
+import { listen } from "./feed.js";
 
 async function get(address) {
   const response = await fetch(address);
@@ -48,3 +49,10 @@ get("/api/results").then((list) => {
   if (list.length) follow();
   else say(byId("note"), "There are no results yet: python -m experiments elbow --quick makes some.");
 }).catch(tell);
+
+function showStage(words, kind) {
+  say(byId("stage"), `${document.body.dataset.robot}: ${words}`);
+  byId("stage").className = `pill ${kind}`;
+}
+listen({ executive: ({ stage }) => showStage(stage, stage === "stopped" ? "bad" : "") },
+  (lost) => lost && showStage("no connection", "bad"));

@@ -8,6 +8,7 @@ const SILENT_MS = 3500;
 const wanted = new Map(); // page's port -> its sections
 const newest = new Map(); // section -> JSON
 let source = null;
+let named = new Set(); // sections that it listens to
 let heard = 0;
 
 /** Answer the page at the other end of a port. */
@@ -19,15 +20,16 @@ export function serve(port) {
       for (const section of newest) port.postMessage(section);
     }
     if (!wanted.size) close();
-    else if (!source) open(sections);
+    else if (!source || sections.some((name) => !named.has(name))) open();
   };
 }
 
-function open(sections) {
+function open() {
   close();
   heard = performance.now();
   source = new EventSource("/api/stream");
-  for (const name of sections) {
+  named = new Set([...wanted.values()].flat());
+  for (const name of named) {
     source.addEventListener(name, ({ data }) => {
       heard = performance.now();
       newest.set(name, data);
@@ -51,7 +53,7 @@ function tell(message) {
 setInterval(() => {
   if (!source || performance.now() - heard < SILENT_MS) return;
   tell([]);
-  open([...wanted.values()][0]);
+  open();
 }, 1000);
 
 globalThis.onconnect = ({ ports: [port] }) => serve(port); // as a shared worker

@@ -80,7 +80,7 @@ function note() {
   if (wanted === false) return "Hidden. Plots, lanes and the moving body are one press away.";
   return hasGraphics()
     ? "Show plots, lanes and the moving body: the viewer is loaded once, 43 MB."
-    : "This browser draws without a graphics card: the view would lag behind. Better: myograft view";
+    : "This browser draws without a graphics card: the view would lag behind. On a computer that has one: myograft view";
 }
 
 function frame() {
