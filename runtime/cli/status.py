@@ -136,9 +136,10 @@ class Picture:
         ready = [row.process for row in self.group.processes if row.state == "ready"]
         healthy = all(process in self.health for process in ready)
         learned = self.schema is not None or not self.executive.schema_version
-        return (
-            healthy and learned and bool(self.states) and self.bodies.keys() == self.states.keys()
-        )
+        felt = bool(self.states) and self.bodies.keys() == self.states.keys()
+        placed = self.angle_rad.keys() >= set(self.executive.joints)
+        estimated = self.schema is None or self.estimate is not None
+        return healthy and learned and felt and placed and estimated
 
     def as_dict(self) -> dict[str, object]:
         """For `--json`."""
