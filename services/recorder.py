@@ -26,13 +26,20 @@ def main(launch: Launch) -> None:
     """Record until told to stop."""
     line = () if os.environ.get("MYOGRAFT_RECORD_LINE") else (BusRequest, BusReply)
     kinds: list[type[Message]] = [row.message for row in TOPICS if row.message not in line]
-    robot, file = launch.settings.name, launch.settings.file
     with launch.open_bus() as member:
+        journal = _new_journal(launch)  # first: who is ready has a file to write to
         member.subscribe(*kinds, every=True)
         member.ready()
-        while not member.stopping:
-            with Journal(_free_file(launch.run_dir), robot, file) as journal:
+        while True:
+            with journal:
                 _fill(journal, member)
+            if member.stopping:
+                return
+            journal = _new_journal(launch)
+
+
+def _new_journal(launch: Launch) -> Journal:
+    return Journal(_free_file(launch.run_dir), launch.settings.name, launch.settings.file)
 
 
 def _fill(journal: Journal, member: Member) -> None:

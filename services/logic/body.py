@@ -360,4 +360,4 @@ class Body:
                 text = f"'{name}' stays outside of the chosen schema; to take it in again: "
                 text += f"myograft unplug {name} && myograft plug {name}"
                 self._tell("info", "left_out", text, muscle=name)
-        self._notebook.save()
+                self._notebook.save()

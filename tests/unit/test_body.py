@@ -55,6 +55,17 @@ class Watched:
         return growth.record.kind, growth.record.muscle, growth.steps
 
 
+def version_of(muscles: tuple[str, ...], number: int) -> SchemaVersion:
+    schema = untrained(muscles, SETTINGS.joints)
+    return SchemaVersion(
+        version=number,
+        joints=schema.joints,
+        muscles=schema.muscles,
+        method="shipped",
+        data=schema.to_bytes(),
+    )
+
+
 def test_a_muscle_that_comes_is_taken_in() -> None:
     robot = Watched()
     robot.watch(1.0)
@@ -110,14 +121,7 @@ def test_a_version_that_is_chosen_meanwhile_ends_the_growth() -> None:
     robot = Watched()
     robot.modules[GUEST] = ("up", 77)
     robot.watch()
-    schema = untrained(SETTINGS.muscles, SETTINGS.joints)
-    chosen = SchemaVersion(
-        version=7,
-        joints=schema.joints,
-        muscles=schema.muscles,
-        method="shipped",
-        data=schema.to_bytes(),
-    )
+    chosen = version_of(SETTINGS.muscles, 7)
     growth = robot.body.growth
     assert growth is not None
     growth.record.base_version, growth.record.job = 7, "mine"
@@ -132,14 +136,7 @@ def test_a_version_that_is_chosen_meanwhile_ends_the_growth() -> None:
 
 def test_a_muscle_that_a_chosen_version_lacks_waits_until_it_is_plugged_anew() -> None:
     robot = Watched()
-    fewer = untrained(SETTINGS.muscles[:2], SETTINGS.joints)
-    chosen = SchemaVersion(
-        version=9,
-        joints=fewer.joints,
-        muscles=fewer.muscles,
-        method="shrink",
-        data=fewer.to_bytes(),
-    )
+    chosen = version_of(SETTINGS.muscles[:2], 9)
     robot.watch(0.1)
     robot.body.receive(chosen)
     robot.watch(2.0)

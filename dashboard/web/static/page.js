@@ -133,8 +133,14 @@ function alarm() {
     !serverLost && named("silent") && ["amber", `Chain ${named("silent")} is silent: its readings are old.`],
   ].filter(Boolean);
   byId("reset").classList.toggle("main", Object.values(modes).includes("stopped"));
-  const reset = (words) => el("button", { type: "button", click: () => ask("reset", {}, "Reset") }, words);
-  keyed(byId("alarm"), all, ([, text]) => text, ([kind, text, act]) => el("p", { class: kind }, text, ...(act ? [reset(act)] : [])), () => {});
+  keyed(byId("alarm"), all, ([, text]) => text, makeAlarm, () => {});
+}
+
+/** A line of the alarm; with words for it, also a reset. */
+function makeAlarm([kind, text, words]) {
+  const line = el("p", { class: kind }, text);
+  if (words) line.append(el("button", { type: "button", class: "asks", click: () => ask("reset", {}, "Reset") }, words));
+  return line;
 }
 
 controls.setUp();
